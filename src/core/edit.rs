@@ -1,0 +1,171 @@
+//! Edits: the only way a body changes after it was built.
+
+use crate::mesh::TetMesh;
+
+/// Identifies a stitch within its session; never used twice.
+pub type StitchId = u64;
+
+/// A zero-length spring between two co-located vertices ([M16] eq. 4, 5).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stitch {
+    /// Its name in later edits.
+    pub id: StitchId,
+    /// The two vertices it joins (zero-based).
+    pub pair: [u32; 2],
+    /// Spring stiffness in N/m.
+    pub stiffness_n_m: f64,
+}
+
+/// One change. A request holds several, which take effect together or not at all.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Edit {
+    /// Join pairs of co-located vertices by springs.
+    Stitch {
+        /// Vertex pairs (zero-based).
+        pairs: Vec<[u32; 2]>,
+        /// Stiffness of each spring in N/m.
+        stiffness_n_m: f64,
+    },
+    /// Remove stitches.
+    Unstitch {
+        /// The stitches' names.
+        stitch_ids: Vec<StitchId>,
+    },
+}
+
+/// Why an edit is impossible, and which entry of the request is at fault.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what the fields are
+pub enum EditError {
+    #[error(
+        "edit {edit}, pair {pair}: vertex {vertex} is out of range, the mesh has {n_vertices} vertices"
+    )]
+    VertexOutOfRange { edit: usize, pair: usize, vertex: u32, n_vertices: usize },
+    #[error("edit {edit}, pair {pair}: vertex {vertex} belongs to no tet")]
+    UnusedVertex { edit: usize, pair: usize, vertex: u32 },
+    #[error("edit {edit}, pair {pair}: a vertex cannot be stitched to itself ({vertex})")]
+    SameVertex { edit: usize, pair: usize, vertex: u32 },
+    #[error(
+        "edit {edit}, pair {pair}: vertices {a} and {b} do not coincide, they are {distance_m:e} m apart (at most {allowed_m:e} m)"
+    )]
+    Apart { edit: usize, pair: usize, a: u32, b: u32, distance_m: f64, allowed_m: f64 },
+    #[error(
+        "edit {edit}, pair {pair}: vertices {a} and {b} are both fixed, a stitch would do nothing"
+    )]
+    BothFixed { edit: usize, pair: usize, a: u32, b: u32 },
+    #[error("edit {edit}, pair {pair}: vertices {a} and {b} are already stitched")]
+    AlreadyStitched { edit: usize, pair: usize, a: u32, b: u32 },
+    #[error("edit {edit}: stiffness {stiffness_n_m:e} N/m is outside {low:e} to {high:e}")]
+    Stiffness { edit: usize, stiffness_n_m: f64, low: f64, high: f64 },
+    #[error("edit {edit}: there is no stitch {id}")]
+    UnknownStitch { edit: usize, position: usize, id: StitchId },
+}
+
+/// Stitch stiffnesses accepted, in N/m. Below, a stitch does nothing measurable; above, rounding in
+/// K + AAᵀ (whose own entries are E·h, 1 to 1e6 N/m for tissue) would reach the elastic modes.
+pub const STIFFNESS_RANGE_N_M: [f64; 2] = [1e-9, 1e12];
+
+/// Vertices closer than this fraction of the body's diagonal coincide.
+pub const COINCIDENCE_RATIO: f64 = 1e-9;
+
+/// The stitches of one generation, in the order in which they were made.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StitchSet {
+    stitches: Vec<Stitch>,
+    next_id: StitchId,
+}
+
+impl StitchSet {
+    /// The stitches in force.
+    pub fn as_slice(&self) -> &[Stitch] {
+        &self.stitches
+    }
+
+    /// Applies `edits` in order and returns the new set with the names given to new stitches.
+    /// `is_fixed` tells whether a vertex is held. Nothing changes on error.
+    pub fn apply(
+        &self,
+        edits: &[Edit],
+        mesh: &TetMesh,
+        is_fixed: impl Fn(u32) -> bool,
+    ) -> Result<(StitchSet, Vec<StitchId>), EditError> {
+        let mut new = self.clone();
+        let mut ids = Vec::new();
+        let mut taken: std::collections::BTreeSet<[u32; 2]> =
+            new.stitches.iter().map(|s| sorted(s.pair)).collect();
+        let allowed_m = COINCIDENCE_RATIO * mesh.diagonal();
+        for (edit, change) in edits.iter().enumerate() {
+            match change {
+                Edit::Stitch { pairs, stiffness_n_m } => {
+                    let [low, high] = STIFFNESS_RANGE_N_M;
+                    if !(low..=high).contains(stiffness_n_m) {
+                        return Err(EditError::Stiffness {
+                            edit,
+                            stiffness_n_m: *stiffness_n_m,
+                            low,
+                            high,
+                        });
+                    }
+                    for (position, &pair) in pairs.iter().enumerate() {
+                        check_pair(edit, position, pair, mesh, allowed_m, &is_fixed)?;
+                        let [a, b] = pair;
+                        if !taken.insert(sorted(pair)) {
+                            return Err(EditError::AlreadyStitched { edit, pair: position, a, b });
+                        }
+                        let id = new.next_id;
+                        new.next_id += 1;
+                        ids.push(id);
+                        new.stitches.push(Stitch { id, pair, stiffness_n_m: *stiffness_n_m });
+                    }
+                }
+                Edit::Unstitch { stitch_ids } => {
+                    for (position, id) in stitch_ids.iter().enumerate() {
+                        let Some(at) = new.stitches.iter().position(|s| s.id == *id) else {
+                            return Err(EditError::UnknownStitch { edit, position, id: *id });
+                        };
+                        taken.remove(&sorted(new.stitches.remove(at).pair));
+                    }
+                }
+            }
+        }
+        let ids = ids.into_iter().filter(|id| new.stitches.iter().any(|s| s.id == *id)).collect();
+        Ok((new, ids))
+    }
+}
+
+/// A pair's name regardless of the order of its ends.
+pub(crate) fn sorted([a, b]: [u32; 2]) -> [u32; 2] {
+    [a.min(b), a.max(b)]
+}
+
+/// Checks that a stitch between the two vertices of `pair` is possible.
+pub(crate) fn check_pair(
+    edit: usize,
+    position: usize,
+    [a, b]: [u32; 2],
+    mesh: &TetMesh,
+    allowed_m: f64,
+    is_fixed: &impl Fn(u32) -> bool,
+) -> Result<(), EditError> {
+    let n_vertices = mesh.vertices().len();
+    for vertex in [a, b] {
+        if vertex as usize >= n_vertices {
+            return Err(EditError::VertexOutOfRange { edit, pair: position, vertex, n_vertices });
+        }
+        if mesh.component_of_vertex()[vertex as usize] == crate::mesh::NO_COMPONENT {
+            return Err(EditError::UnusedVertex { edit, pair: position, vertex });
+        }
+    }
+    if a == b {
+        return Err(EditError::SameVertex { edit, pair: position, vertex: a });
+    }
+    let [xa, xb] = [a, b].map(|v| nalgebra::Vector3::from(mesh.vertices()[v as usize]));
+    let distance_m = (xa - xb).norm();
+    if distance_m > allowed_m {
+        return Err(EditError::Apart { edit, pair: position, a, b, distance_m, allowed_m });
+    }
+    if is_fixed(a) && is_fixed(b) {
+        return Err(EditError::BothFixed { edit, pair: position, a, b });
+    }
+    Ok(())
+}

@@ -1,0 +1,15 @@
+//! Sutura's numerical core: from a tetrahedral mesh to a reduced (subspace) model, and from an
+//! edit to the updated one.
+//!
+//! Pure, synchronous, double precision. Nothing here knows a clock, the environment, the file
+//! system, a network or an asynchronous runtime; see `src/ARCHITECTURE.md` for the walls.
+//!
+//! Entry points: [`build::build`] prepares a body, [`build::rebuild`] applies edits to it,
+//! [`reduced`] evaluates and simulates the result.
+
+pub mod build;
+pub mod control;
+pub mod edit;
+pub mod material;
+pub mod mesh;
+pub mod reduced;

@@ -1,0 +1,2 @@
+//! The sutura daemon and command line.
+fn main() {}
