@@ -1,1 +1,28 @@
-//! sutura-store
+//! Sessions over time: which bodies exist, which generation of each is current, what is being
+//! built, edited and simulated.
+//!
+//! [`Store`] is the whole interface; HTTP and Zenoh call the same methods. It owns three kinds of
+//! threads, apart from the caller's asynchronous ones:
+//!
+//! - the build pool, for builds and edits (seconds);
+//! - the query pool, for evaluations and the assembly of large answers (milliseconds);
+//! - the stepping threads, which advance simulations in real time.
+//!
+//! Knows no HTTP, no Zenoh and no wire format.
+
+mod config;
+mod error;
+mod event;
+mod session;
+mod simulation;
+mod store;
+
+pub use config::{Limits, StoreConfig, WorkConfig};
+pub use error::{InputError, StoreError};
+pub use event::{Event, EventKind};
+pub use session::{
+    CreateSession, EditRequest, Generation, GenerationRef, Progress, SessionId, SessionInfo,
+    SessionState,
+};
+pub use simulation::{Frame, SimulationConfig, SimulationInfo, VertexForce};
+pub use store::Store;

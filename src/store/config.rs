@@ -1,0 +1,126 @@
+//! How much work the store does at once, and the sizes it accepts.
+
+use std::time::Duration;
+
+/// Everything the store can be told at its start.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StoreConfig {
+    /// Threads, queues and pacing.
+    pub work: WorkConfig,
+    /// Largest sizes accepted from a caller.
+    pub limits: Limits,
+}
+
+/// Threads, queues and pacing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WorkConfig {
+    /// Threads of the build pool. With two or more, builds leave one of them to edits.
+    pub n_build_threads: usize,
+    /// Threads of the query pool.
+    pub n_query_threads: usize,
+    /// Threads that step simulations.
+    pub n_stepping_threads: usize,
+    /// Builds that may wait for a thread.
+    pub build_queue_limit: usize,
+    /// Edits that may wait for a thread.
+    pub edit_queue_limit: usize,
+    /// Queries that may wait for a thread.
+    pub query_queue_limit: usize,
+    /// Messages that may wait for a stepping thread.
+    pub stepping_queue_limit: usize,
+    /// Generations of a session that stay retrievable, the current one included.
+    pub n_kept_generations: usize,
+    /// Shortest time between two progress events of one stage.
+    pub progress_interval: Duration,
+    /// Events a slow subscriber may fall behind before it loses the oldest.
+    pub event_backlog: usize,
+    /// Frames a slow subscriber may fall behind before it loses the oldest.
+    pub frame_backlog: usize,
+}
+
+impl Default for WorkConfig {
+    fn default() -> Self {
+        Self {
+            n_build_threads: 2,
+            n_query_threads: 1,
+            n_stepping_threads: 1,
+            build_queue_limit: 16,
+            edit_queue_limit: 64,
+            query_queue_limit: 256,
+            stepping_queue_limit: 1024,
+            n_kept_generations: 8,
+            progress_interval: Duration::from_millis(100),
+            event_backlog: 256,
+            frame_backlog: 16,
+        }
+    }
+}
+
+/// Largest sizes accepted from a caller.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Limits {
+    /// Sessions at once.
+    pub max_sessions: usize,
+    /// Bytes of a session's name.
+    pub max_name_bytes: usize,
+    /// Vertices of a mesh.
+    pub max_vertices: usize,
+    /// Tets of a mesh.
+    pub max_tets: usize,
+    /// Domains of a mesh.
+    pub max_domains: usize,
+    /// Elastic modes kept.
+    pub max_modes: usize,
+    /// Columns of the basis.
+    pub max_basis_size: usize,
+    /// Cubature points.
+    pub max_cubature_points: usize,
+    /// Training poses of the cubature.
+    pub max_training_poses: usize,
+    /// Candidate stitch pairs prepared with the body.
+    pub max_seams: usize,
+    /// Entries of one edit request.
+    pub max_edits_per_request: usize,
+    /// Stitches in force in one session.
+    pub max_stitches: usize,
+    /// Poses of one evaluation request.
+    pub max_evaluations_per_request: usize,
+    /// Simulations at once.
+    pub max_simulations: usize,
+    /// Shortest time step of a simulation in s.
+    pub min_dt_s: f64,
+    /// Highest rate of published frames in Hz.
+    pub max_publish_hz: f64,
+    /// Forces in one request.
+    pub max_forces_per_request: usize,
+    /// Forces acting at once in one simulation.
+    pub max_active_forces: usize,
+    /// Longest time a force may act in s of simulated time.
+    pub max_force_duration_s: f64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            max_sessions: 64,
+            max_name_bytes: 256,
+            max_vertices: 500_000,
+            max_tets: 2_000_000,
+            max_domains: 1024,
+            max_modes: 200,
+            max_basis_size: 400,
+            max_cubature_points: 4000,
+            max_training_poses: 2000,
+            max_seams: 4096,
+            max_edits_per_request: 256,
+            max_stitches: 4096,
+            max_evaluations_per_request: 256,
+            max_simulations: 16,
+            min_dt_s: 5e-4,
+            max_publish_hz: 1000.0,
+            max_forces_per_request: 256,
+            max_active_forces: 1024,
+            max_force_duration_s: 3600.0,
+        }
+    }
+}

@@ -1,0 +1,32 @@
+//! What subscribers hear.
+
+use crate::session::{Generation, Progress, SessionId, SessionState};
+use std::sync::Arc;
+
+/// Something happened to a session.
+#[derive(Clone, Debug)]
+pub struct Event {
+    /// The session it happened to.
+    pub session: SessionId,
+    /// What happened.
+    pub kind: EventKind,
+}
+
+/// What can happen to a session.
+#[derive(Clone, Debug)]
+pub enum EventKind {
+    /// It exists (its build has been queued), or it was forked from another.
+    Created,
+    /// Its state changed.
+    State(SessionState),
+    /// The build or edit that runs has come this far.
+    Progress(Progress),
+    /// This generation is current now.
+    Generation(Arc<Generation>),
+    /// It is being simulated.
+    SimulationStarted,
+    /// It is no longer simulated: by request, or because the simulation failed.
+    SimulationStopped,
+    /// It is gone; no further event follows.
+    Deleted,
+}

@@ -1,0 +1,150 @@
+//! A session: one body, its generations, and what is being done to it.
+
+use crate::error::StoreError;
+use std::sync::Arc;
+use std::time::Duration;
+use sutura_core::build::{Artifacts, BuildParams, Method};
+use sutura_core::control::Stage;
+use sutura_core::edit::{Edit, StitchId};
+use sutura_core::mesh::TetMesh;
+
+/// Names a session; unique among daemons, ascending in the order of creation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct SessionId(uuid::Uuid);
+
+impl SessionId {
+    /// A new name.
+    pub(crate) fn new() -> Self {
+        Self(uuid::Uuid::now_v7())
+    }
+}
+
+impl std::fmt::Display for SessionId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.0.as_simple().fmt(f)
+    }
+}
+
+impl std::str::FromStr for SessionId {
+    type Err = uuid::Error;
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        uuid::Uuid::try_parse(text).map(Self)
+    }
+}
+
+/// What [`crate::Store::create`] needs.
+#[derive(Clone, Debug)]
+pub struct CreateSession {
+    /// For people; need not be unique.
+    pub name: String,
+    /// The mesh.
+    pub mesh: Arc<TetMesh>,
+    /// How to build the body.
+    pub params: BuildParams,
+}
+
+/// What a session is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SessionState {
+    /// The first generation is queued or being built.
+    Building,
+    /// The current generation is ready, nothing is being computed.
+    Ready,
+    /// The current generation is ready, the next one is being computed.
+    Rebuilding,
+    /// The first generation could not be built.
+    Failed,
+}
+
+impl SessionState {
+    /// Lower-case name.
+    pub fn name(self) -> &'static str {
+        match self {
+            SessionState::Building => "building",
+            SessionState::Ready => "ready",
+            SessionState::Rebuilding => "rebuilding",
+            SessionState::Failed => "failed",
+        }
+    }
+}
+
+impl std::fmt::Display for SessionState {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// How far a build or edit has come.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// The stage it is in.
+    pub stage: Stage,
+    /// Fraction of this stage that is done, 0 to 1.
+    pub fraction: f64,
+}
+
+/// A prepared body after zero or more edits. Immutable.
+pub struct Generation {
+    /// 0 for the build; each edit request adds one.
+    pub number: u64,
+    /// The body.
+    pub artifacts: Arc<Artifacts>,
+    /// The method of the edit that made it; `None` for the build.
+    pub made_by: Option<Method>,
+    /// Stitches made by the edit, in the order of the request.
+    pub stitch_ids: Vec<StitchId>,
+    /// Time the computation took (waiting not included; zero for a body taken from another session).
+    pub computed_in: Duration,
+}
+
+impl std::fmt::Debug for Generation {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Generation")
+            .field("number", &self.number)
+            .field("made_by", &self.made_by)
+            .field("stitch_ids", &self.stitch_ids)
+            .field("computed_in", &self.computed_in)
+            .finish_non_exhaustive()
+    }
+}
+
+/// Which generation of a session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GenerationRef {
+    /// The one that is current when the call arrives.
+    Current,
+    /// The one with this number.
+    Number(u64),
+}
+
+/// Edits that take effect together or not at all.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EditRequest {
+    /// The generation the caller means to edit; `None` edits whichever is current.
+    pub base_generation: Option<u64>,
+    /// How the linear modes follow.
+    pub method: Method,
+    /// Relative eigenvalue error accepted (see [`sutura_core::build::RebuildParams`]).
+    pub tolerance: f64,
+    /// The edits, in order.
+    pub edits: Vec<Edit>,
+}
+
+/// What is known of a session at one moment.
+#[derive(Clone, Debug)]
+pub struct SessionInfo {
+    /// Its name in every call.
+    pub id: SessionId,
+    /// Its name for people.
+    pub name: String,
+    /// What it is doing.
+    pub state: SessionState,
+    /// How far that has come, while something is being computed.
+    pub progress: Option<Progress>,
+    /// The mesh.
+    pub mesh: Arc<TetMesh>,
+    /// The current generation, once there is one.
+    pub generation: Option<Arc<Generation>>,
+    /// Why the state is `Failed`.
+    pub error: Option<Arc<StoreError>>,
+}
