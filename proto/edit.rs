@@ -1,0 +1,185 @@
+//! Edits: each request makes a new generation. These documents travel as JSON and as bincode
+//! ([`crate::bus`]), so they use no serde attribute that depends on a self-describing format.
+
+use crate::problem::{Invalid, within};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use utoipa::ToSchema;
+
+/// Most changes in one request.
+pub const MAX_EDITS: usize = 1024;
+/// Most pairs, or stitch names, in one change.
+pub const MAX_PAIRS: usize = 65_536;
+
+/// Changes that take effect together or not at all.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EditRequest {
+    /// The generation the edit was made for; refused with 409 if it is no longer the current one.
+    #[serde(default)]
+    pub base_generation: Option<u64>,
+    /// How the linear modes follow. Default: `flexibility`.
+    #[serde(default)]
+    pub method: EditMethod,
+    /// Relative eigenvalue error accepted in the lower half of the modes (`flexibility` only).
+    /// Default: 1e-4.
+    #[serde(default = "default_tolerance")]
+    pub tolerance: f64,
+    /// The changes, applied in order.
+    pub edits: Vec<Edit>,
+}
+
+fn default_tolerance() -> f64 {
+    1e-4
+}
+
+/// How the linear modes follow an edit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum EditMethod {
+    /// Preconditioned by the cached factorization and refined to the tolerance.
+    #[default]
+    Flexibility,
+    /// The low-rank update of Mukherjee et al. 2016, §4.1.
+    LowRank,
+    /// Everything anew.
+    FromScratch,
+}
+
+/// One change.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Edit {
+    /// Join pairs of co-located vertices by zero-length springs.
+    Stitch {
+        /// Vertex pairs (zero-based).
+        pairs: Vec<[u32; 2]>,
+        /// Stiffness of each spring in N/m.
+        stiffness_n_m: f64,
+    },
+    /// Remove stitches.
+    Unstitch {
+        /// The stitches' names, from an [`EditReply`].
+        stitch_ids: Vec<u64>,
+    },
+    /// Multiply the stiffness of a domain.
+    ScaleStiffness {
+        /// The domain's label.
+        domain: i64,
+        /// The factor, relative to the stiffness in force.
+        factor: f64,
+    },
+}
+
+impl EditRequest {
+    /// `edits` on whatever generation is current, by the default method and tolerance.
+    pub fn new(edits: Vec<Edit>) -> EditRequest {
+        EditRequest {
+            base_generation: None,
+            method: EditMethod::default(),
+            tolerance: default_tolerance(),
+            edits,
+        }
+    }
+
+    /// Refuses what no body could accept. Whether vertices, stitches and domains exist, and
+    /// whether pairs coincide, is for the body to say.
+    pub fn validate(&self) -> Result<(), Invalid> {
+        within("/tolerance", self.tolerance, 1e-14, 1.0)?;
+        length_within("/edits", self.edits.len(), MAX_EDITS)?;
+        for (i, edit) in self.edits.iter().enumerate() {
+            match edit {
+                Edit::Stitch { pairs, stiffness_n_m } => {
+                    length_within(&format!("/edits/{i}/stitch/pairs"), pairs.len(), MAX_PAIRS)?;
+                    let pointer = format!("/edits/{i}/stitch/stiffness_n_m");
+                    within(&pointer, *stiffness_n_m, f64::MIN_POSITIVE, f64::MAX)?;
+                }
+                Edit::Unstitch { stitch_ids } => {
+                    let pointer = format!("/edits/{i}/unstitch/stitch_ids");
+                    length_within(&pointer, stitch_ids.len(), MAX_PAIRS)?;
+                }
+                Edit::ScaleStiffness { factor, .. } => {
+                    within(&format!("/edits/{i}/scale_stiffness/factor"), *factor, 1e-9, 1e9)?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn length_within(pointer: &str, length: usize, limit: usize) -> Result<(), Invalid> {
+    match length {
+        0 => Err(Invalid::new(pointer, "must not be empty")),
+        n if n > limit => Err(Invalid::new(pointer, format!("holds {n} entries, at most {limit}"))),
+        _ => Ok(()),
+    }
+}
+
+/// What an edit made.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct EditReply {
+    /// The new generation.
+    pub generation: u64,
+    /// How the linear modes followed.
+    pub method: EditMethod,
+    /// Names of the stitches made, in the order of the request's pairs.
+    pub stitch_ids: Vec<u64>,
+    /// Stitches in force.
+    pub n_stitches: usize,
+    /// Rigid motions that cost no energy, with the stitches in force.
+    pub n_rigid_modes: usize,
+    /// Eigenvalues λ = ω² of the elastic modes in 1/s², ascending.
+    pub eigenvalues_per_s2: Vec<f64>,
+    /// Frequencies √λ/2π of the elastic modes in Hz.
+    pub frequencies_hz: Vec<f64>,
+    /// The relative residual of each mode.
+    pub residuals: Vec<f64>,
+    /// Columns of the basis.
+    pub basis_size: usize,
+    /// The cubature rule; `null` when every tet is summed.
+    pub cubature: Option<CubatureInfo>,
+    /// Time spent, in ms.
+    pub timings_ms: EditTimings,
+    /// What the caller should know, in words.
+    pub warnings: Vec<String>,
+}
+
+/// Time spent in an edit, in ms.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct EditTimings {
+    /// Linear modes, with the factorization and seam columns where those were redone.
+    pub linear: f64,
+    /// Modal derivatives.
+    pub derivatives: f64,
+    /// Basis and reduced tables.
+    pub reduction: f64,
+    /// Cubature reuse, validation, fitting.
+    pub cubature: f64,
+    /// From the command's start to the new generation.
+    pub total: f64,
+    /// Every stage by its own name.
+    pub stages: BTreeMap<String, f64>,
+}
+
+/// What is known of a generation's cubature rule.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct CubatureInfo {
+    /// Points with positive weight.
+    pub n_points: usize,
+    /// Where the rule came from.
+    pub source: CubatureSource,
+    /// Relative reduced-force error on poses not used for fitting.
+    pub validation_error: f64,
+}
+
+/// Where a cubature rule came from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CubatureSource {
+    /// Points and weights of the previous generation.
+    Reused,
+    /// Points of the previous generation, weights fitted anew.
+    Refitted,
+    /// Points chosen and weights fitted for this basis.
+    Retrained,
+}

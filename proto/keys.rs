@@ -1,0 +1,115 @@
+//! Zenoh key expressions: building them and taking them apart.
+
+use std::fmt;
+
+/// Everything sutura says on Zenoh lies below this prefix.
+pub const PREFIX: &str = "sutura/v1";
+
+/// Longest session or daemon identifier, in bytes.
+pub const MAX_ID_BYTES: usize = 64;
+
+/// What one key of a session stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Resource {
+    /// Queryable: an [`crate::edit::EditRequest`], answered by an [`crate::edit::EditReply`].
+    Edits,
+    /// Queryable: the [`crate::session::SessionInfo`].
+    Info,
+    /// Queryable: linear modes.
+    Modes,
+    /// Queryable: the basis.
+    Basis,
+    /// Queryable: from an older generation's coordinates to this one's.
+    Transfer,
+    /// Queryable: from an older generation's basis to this one's.
+    Delta,
+    /// Queryable: the evaluator's tables.
+    Evaluator,
+    /// Queryable: lumped masses.
+    Mass,
+    /// Publication: [`crate::state::StateFrame`].
+    State,
+    /// Publication: [`crate::event::GenerationInfo`].
+    Generation,
+    /// Subscription: a [`crate::simulation::ForceRequest`].
+    Forces,
+}
+
+impl Resource {
+    /// Every resource.
+    pub const ALL: [Resource; 11] = [
+        Resource::Edits,
+        Resource::Info,
+        Resource::Modes,
+        Resource::Basis,
+        Resource::Transfer,
+        Resource::Delta,
+        Resource::Evaluator,
+        Resource::Mass,
+        Resource::State,
+        Resource::Generation,
+        Resource::Forces,
+    ];
+
+    /// The key's last chunk.
+    pub fn name(self) -> &'static str {
+        match self {
+            Resource::Edits => "edits",
+            Resource::Info => "info",
+            Resource::Modes => "modes",
+            Resource::Basis => "basis",
+            Resource::Transfer => "transfer",
+            Resource::Delta => "delta",
+            Resource::Evaluator => "evaluator",
+            Resource::Mass => "mass",
+            Resource::State => "state",
+            Resource::Generation => "generation",
+            Resource::Forces => "forces",
+        }
+    }
+}
+
+impl fmt::Display for Resource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// Whether `id` may name a session or a daemon: 1 to [`MAX_ID_BYTES`] ASCII letters, digits, `-`
+/// and `_`, so that it needs no escaping in a path, a key expression or a file name.
+pub fn is_id(id: &str) -> bool {
+    (1..=MAX_ID_BYTES).contains(&id.len())
+        && id.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_')
+}
+
+/// `sutura/v1/sessions/{id}/{resource}`; `None` if `id` is not an identifier.
+pub fn session(id: &str, resource: Resource) -> Option<String> {
+    is_id(id).then(|| format!("{PREFIX}/sessions/{id}/{resource}"))
+}
+
+/// `sutura/v1/sessions/*/{resource}`: that resource of every session.
+pub fn every_session(resource: Resource) -> String {
+    format!("{PREFIX}/sessions/*/{resource}")
+}
+
+/// The session and the resource that `key` names, if it names one.
+pub fn parse_session(key: &str) -> Option<(&str, Resource)> {
+    let (id, name) = key.strip_prefix(PREFIX)?.strip_prefix("/sessions/")?.split_once('/')?;
+    let resource = Resource::ALL.into_iter().find(|resource| resource.name() == name)?;
+    is_id(id).then_some((id, resource))
+}
+
+/// `sutura/v1/daemons/{daemon}`: the liveliness token; `None` if `daemon` is not an identifier.
+pub fn daemon(daemon: &str) -> Option<String> {
+    is_id(daemon).then(|| format!("{PREFIX}/daemons/{daemon}"))
+}
+
+/// `sutura/v1/daemons/*`.
+pub fn every_daemon() -> String {
+    format!("{PREFIX}/daemons/*")
+}
+
+/// The daemon that `key` names, if it names one.
+pub fn parse_daemon(key: &str) -> Option<&str> {
+    key.strip_prefix(PREFIX)?.strip_prefix("/daemons/").filter(|id| is_id(id))
+}
