@@ -1,4 +1,11 @@
-//! Tetrahedral meshes: the validated [`TetMesh`].
+//! Tetrahedral meshes: the validated [`TetMesh`], and [`read`] for the files they come in.
+
+mod cursor;
+mod gmsh;
+mod reader;
+mod vega;
+
+pub use reader::{Location, MeshFile, MeshFormat, MeshLimits, ReadError, ReadFault, read};
 
 use std::collections::BTreeSet;
 
@@ -208,3 +215,6 @@ fn components(n_vertices: usize, tets: &[[u32; 4]]) -> (Vec<u32>, usize) {
     }
     (component, count as usize)
 }
+
+#[cfg(test)]
+mod tests;
