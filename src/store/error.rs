@@ -2,7 +2,7 @@
 
 use crate::session::{SessionId, SessionState};
 use sutura_core::build::BuildError;
-use sutura_core::edit::{EditError, StitchId};
+use sutura_core::edit::EditError;
 use sutura_core::reduced::SimulationError;
 
 /// Why a call failed. Whatever the error, the session is as it was before.
@@ -122,6 +122,4 @@ pub enum InputError {
     ForceSize { force: usize, high: f64 },
     #[error("force {force}: duration_s must be positive and at most {high} s, not {given}")]
     ForceDuration { force: usize, given: f64, high: f64 },
-    #[error("edit {edit}, stitch {position}: stitch {id} is named twice")]
-    RepeatedStitch { edit: usize, position: usize, id: StitchId },
 }

@@ -1,10 +1,9 @@
 //! What subscribers hear.
 
-use crate::session::{Generation, Progress, SessionId, SessionState};
-use std::sync::Arc;
+use crate::session::{Progress, SessionId, SessionState};
 
 /// Something happened to a session.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Event {
     /// The session it happened to.
     pub session: SessionId,
@@ -13,7 +12,7 @@ pub struct Event {
 }
 
 /// What can happen to a session.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum EventKind {
     /// It exists (its build has been queued), or it was forked from another.
     Created,
@@ -21,8 +20,9 @@ pub enum EventKind {
     State(SessionState),
     /// The build or edit that runs has come this far.
     Progress(Progress),
-    /// This generation is current now.
-    Generation(Arc<Generation>),
+    /// This generation is current now. (Only its number: an event waiting for a slow subscriber
+    /// must not keep a body alive.)
+    Generation(u64),
     /// It is being simulated.
     SimulationStarted,
     /// It is no longer simulated: by request, or because the simulation failed.

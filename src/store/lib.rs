@@ -13,6 +13,7 @@
 mod config;
 mod error;
 mod event;
+mod pool;
 mod session;
 mod simulation;
 mod store;
@@ -21,8 +22,8 @@ pub use config::{Limits, StoreConfig, WorkConfig};
 pub use error::{InputError, StoreError};
 pub use event::{Event, EventKind};
 pub use session::{
-    CreateSession, EditRequest, Generation, GenerationRef, Progress, SessionId, SessionInfo,
-    SessionState,
+    CreateSession, EditRequest, Generation, GenerationRef, NotASessionId, Progress, SessionId,
+    SessionInfo, SessionState,
 };
 pub use simulation::{Frame, SimulationConfig, SimulationInfo, VertexForce};
 pub use store::Store;

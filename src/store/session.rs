@@ -26,11 +26,18 @@ impl std::fmt::Display for SessionId {
 }
 
 impl std::str::FromStr for SessionId {
-    type Err = uuid::Error;
+    type Err = NotASessionId;
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        uuid::Uuid::try_parse(text).map(Self)
+        // One name, one spelling: of the forms that a UUID can take, only the one we write.
+        let id = uuid::Uuid::try_parse(text).map(Self).map_err(|_| NotASessionId)?;
+        if id.to_string() == text { Ok(id) } else { Err(NotASessionId) }
     }
 }
+
+/// The text is not the name of any session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a session's name is 32 lower-case hexadecimal digits")]
+pub struct NotASessionId;
 
 /// What [`crate::Store::create`] needs.
 #[derive(Clone, Debug)]
