@@ -26,7 +26,12 @@ pub enum Event {
     },
     /// A new generation serves.
     Generation(GenerationInfo),
-    /// A build or an edit failed. After a failed edit the session goes on as it was.
+    /// A simulation was started or stopped.
+    Simulation {
+        /// Whether one is running now.
+        running: bool,
+    },
+    /// The build failed.
     Failed {
         /// Why.
         error: Problem,
@@ -42,6 +47,7 @@ impl Event {
             Event::State { .. } => "state",
             Event::Stage { .. } => "stage",
             Event::Generation(_) => "generation",
+            Event::Simulation { .. } => "simulation",
             Event::Failed { .. } => "failed",
             Event::Deleted => "deleted",
         }

@@ -3,7 +3,8 @@
 //! * [`session`], [`edit`], [`evaluate`], [`simulation`], [`event`], [`problem`]: the JSON documents.
 //!   A type that is deserialized has every default filled in; `validate` then refuses what no body
 //!   could accept and says which member is at fault.
-//! * [`frame`] and [`npy`]: named numerical arrays as bytes; [`array`] is their common currency.
+//! * [`frame`] and [`npy`]: named numerical arrays as bytes; [`array`] is their common currency,
+//!   [`generation`] lists the arrays there are.
 //! * [`state`]: one published state of a running simulation.
 //! * [`bus`]: the documents that also travel as bincode over Zenoh.
 //! * [`keys`], [`media`], [`openapi`]: key expressions, media types, schemas.
@@ -19,6 +20,7 @@ pub mod edit;
 pub mod evaluate;
 pub mod event;
 pub mod frame;
+pub mod generation;
 pub mod keys;
 pub mod media;
 pub mod npy;

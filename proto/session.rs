@@ -330,7 +330,7 @@ pub struct SessionInfo {
     pub warnings: Vec<String>,
     /// The parameters in force, defaults filled in.
     pub parameters: SessionParameters,
-    /// Why the build, or the latest edit, failed.
+    /// Why the build failed.
     pub error: Option<Problem>,
 }
 

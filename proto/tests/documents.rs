@@ -282,6 +282,7 @@ fn events_carry_their_name() {
         Event::Stage { stage: "modes".to_owned(), progress: 0.5 },
         Event::Generation(info),
         Event::Failed { error: problem.clone() },
+        Event::Simulation { running: true },
         Event::Deleted,
     ];
     for event in events {
