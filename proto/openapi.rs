@@ -11,6 +11,7 @@ use utoipa::OpenApi;
     crate::evaluate::EvaluateRequest,
     crate::event::Event,
     crate::problem::Problem,
+    crate::session::ForkRequest,
     crate::session::SessionConfig,
     crate::session::SessionInfo,
     crate::session::SessionList,

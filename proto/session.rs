@@ -187,14 +187,7 @@ impl SessionConfig {
     /// Refuses what no mesh could make valid. Whether indices exist, whether every domain has a
     /// material and whether the mesh is sound is for the body to say.
     pub fn validate(&self) -> Result<(), Invalid> {
-        if let Some(name) = &self.name {
-            count_within("/name", name.len(), 1, MAX_NAME_BYTES).map_err(|_| {
-                Invalid::new("/name", format!("must be 1 to {MAX_NAME_BYTES} bytes"))
-            })?;
-            if name.chars().any(char::is_control) {
-                return Err(Invalid::new("/name", "must not contain control characters"));
-            }
-        }
+        check_name(self.name.as_deref())?;
         if self.material.is_none() && self.domain_materials.is_empty() {
             return Err(Invalid::new("/material", "give a material (or domain_materials)"));
         }
@@ -268,6 +261,17 @@ impl CubatureConfig {
         count_within("/cubature/n_training_poses", self.n_training_poses, 1, MAX_TRAINING_POSES)?;
         within("/cubature/tolerance", self.tolerance, 1e-12, 1.0)
     }
+}
+
+fn check_name(name: Option<&str>) -> Result<(), Invalid> {
+    let Some(name) = name else { return Ok(()) };
+    if name.is_empty() || name.len() > MAX_NAME_BYTES {
+        return Err(Invalid::new("/name", format!("must be 1 to {MAX_NAME_BYTES} bytes")));
+    }
+    if name.chars().any(char::is_control) {
+        return Err(Invalid::new("/name", "must not contain control characters"));
+    }
+    Ok(())
 }
 
 /// What a session is doing.
@@ -362,4 +366,19 @@ pub struct SessionList {
     pub sessions: Vec<SessionInfo>,
     /// Pass as `?after=` to get the next page; `null` on the last one.
     pub next: Option<String>,
+}
+
+/// How a fork differs from its origin. A request without a body differs in nothing.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ForkRequest {
+    /// The new session's name; without it, the origin's.
+    pub name: Option<String>,
+}
+
+impl ForkRequest {
+    /// Refuses names that no session may have.
+    pub fn validate(&self) -> Result<(), Invalid> {
+        check_name(self.name.as_deref())
+    }
 }
