@@ -12,6 +12,13 @@ pub(super) enum Encoding {
 /// Longest piece of the file that an error message quotes, in bytes.
 const MAX_QUOTE: usize = 32;
 
+/// A piece of the file as an error message shows it: printable and short.
+pub(super) fn quote(piece: &[u8]) -> String {
+    let shown = &piece[..piece.len().min(MAX_QUOTE)];
+    let ellipsis = if shown.len() < piece.len() { "…" } else { "" };
+    format!("{}{ellipsis}", String::from_utf8_lossy(shown).escape_debug())
+}
+
 /// Reads numbers one after another. In text a *record* (a node, an element, a block header) stands
 /// on one line, so that a missing number is found where it is missing.
 pub(super) struct Cursor<'a> {
@@ -60,9 +67,7 @@ impl<'a> Cursor<'a> {
             (Some(b'\n' | b'\r'), _) => "the end of the line".to_owned(),
             _ => {
                 let end = rest.iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len());
-                let quote = &rest[..end.min(MAX_QUOTE)];
-                let ellipsis = if end > MAX_QUOTE { "…" } else { "" };
-                format!("“{}{ellipsis}”", quote.escape_ascii())
+                format!("“{}”", quote(&rest[..end]))
             }
         };
         self.error(position, ReadFault::Unexpected { expected: expected.to_owned(), found })

@@ -147,3 +147,6 @@ pub(super) fn validate(
         cursor.error(position, ReadFault::Mesh { item, error })
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -11,7 +11,7 @@
 //! assigns; where regions overlap the later one holds. A file without regions is one domain of the
 //! only material, if it has one. `#` starts a comment; numbers may be parted by commas.
 
-use super::cursor::Cursor;
+use super::cursor::{Cursor, quote};
 use super::reader::{MeshFile, MeshLimits, ReadError, ReadFault, validate};
 use crate::material::Material;
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -61,7 +61,7 @@ pub(super) fn read(bytes: &[u8], limits: &MeshLimits) -> Result<MeshFile, ReadEr
             ("*REGION", _) => parser.read_region(&mut cursor)?,
             ("*MATERIAL" | "*SET", None) => return Err(cursor.unexpected(line.at, "a name")),
             (keyword, _) if keyword.starts_with('*') => {
-                let message = format!("{} is not supported", line.fields[0].escape_debug());
+                let message = format!("{} is not supported", quote(line.fields[0].as_bytes()));
                 return Err(cursor.error(line.at, ReadFault::Unsupported(message)));
             }
             _ => return Err(cursor.unexpected(line.at, "a keyword (*VERTICES, *ELEMENTS, …)")),
@@ -109,7 +109,7 @@ impl Line<'_> {
         let text = self.fields.get(field);
         text.and_then(|text| text.parse().ok()).ok_or_else(|| {
             let found = match text {
-                Some(text) => format!("“{}”", text.escape_debug().take(32).collect::<String>()),
+                Some(text) => format!("“{}”", quote(text.as_bytes())),
                 None => "the end of the line".to_owned(),
             };
             let expected = expected.to_owned();
@@ -189,7 +189,7 @@ impl Parser {
         if !kind.fields[0].eq_ignore_ascii_case("TET") {
             let message = format!(
                 "elements of type {} are not supported, only TET",
-                kind.fields[0].escape_debug()
+                quote(kind.fields[0].as_bytes())
             );
             return Err(cursor.error(kind.at, ReadFault::Unsupported(message)));
         }
@@ -234,14 +234,14 @@ impl Parser {
     ) -> Result<(), ReadError> {
         let label = self.materials.len() as i64;
         if self.label_of_material.insert(name.to_owned(), label).is_some() {
-            let message = format!("material {} is defined twice", name.escape_debug());
+            let message = format!("material {} is defined twice", quote(name.as_bytes()));
             return Err(cursor.error(at, ReadFault::Inconsistent(message)));
         }
         let line = required_line(cursor, "ENU, density, E, nu")?;
         if !line.fields[0].eq_ignore_ascii_case("ENU") {
             let message = format!(
                 "materials of type {} are not supported, only ENU",
-                line.fields[0].escape_debug()
+                quote(line.fields[0].as_bytes())
             );
             return Err(cursor.error(line.at, ReadFault::Unsupported(message)));
         }
@@ -250,7 +250,7 @@ impl Parser {
         let poisson_ratio = line.number(cursor, 3, "Poisson's ratio")?;
         let material =
             Material::stvk(young_modulus_pa, poisson_ratio, density_kg_m3).map_err(|error| {
-                let name = name.escape_debug().to_string();
+                let name = quote(name.as_bytes());
                 cursor.error(line.at, ReadFault::Material { name, error })
             })?;
         self.materials.push(material);
@@ -274,7 +274,7 @@ impl Parser {
             }
         }
         if name == ALL_ELEMENTS || self.sets.insert(name.to_owned(), elements).is_some() {
-            let message = format!("set {} is defined twice", name.escape_debug());
+            let message = format!("set {} is defined twice", quote(name.as_bytes()));
             return Err(cursor.error(at, ReadFault::Inconsistent(message)));
         }
         Ok(())
@@ -303,11 +303,11 @@ impl Parser {
         let mut assigned = HashSet::new();
         for Region { at, set, material } in &self.regions {
             if !assigned.insert(set) {
-                let message = format!("set {} is in two regions", set.escape_debug());
+                let message = format!("set {} is in two regions", quote(set.as_bytes()));
                 return inconsistent(*at, message);
             }
             let Some(&label) = self.label_of_material.get(material) else {
-                let message = format!("there is no material {}", material.escape_debug());
+                let message = format!("there is no material {}", quote(material.as_bytes()));
                 return inconsistent(*at, message);
             };
             if set == ALL_ELEMENTS {
@@ -315,13 +315,13 @@ impl Parser {
                 continue;
             }
             let Some(elements) = self.sets.get(set) else {
-                return inconsistent(*at, format!("there is no set {}", set.escape_debug()));
+                return inconsistent(*at, format!("there is no set {}", quote(set.as_bytes())));
             };
             for &(element, at) in elements {
                 let tet = element.checked_sub(self.first_element).map(|tet| tet as usize);
                 let Some(slot) = tet.and_then(|tet| labels.get_mut(tet)) else {
                     let message =
-                        format!("set {}: there is no element {element}", set.escape_debug());
+                        format!("set {}: there is no element {element}", quote(set.as_bytes()));
                     return inconsistent(at, message);
                 };
                 *slot = Some(label);
@@ -360,3 +360,6 @@ impl Parser {
         Ok(MeshFile { mesh, materials })
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -10,7 +10,7 @@ mod v2;
 mod v4;
 
 use super::TetMesh;
-use super::cursor::{Cursor, Encoding};
+use super::cursor::{Cursor, Encoding, quote};
 use super::reader::{MeshLimits, ReadError, ReadFault, validate};
 
 /// A mesh as the file tells it: corners by node tag.
@@ -105,7 +105,7 @@ pub(super) fn read(bytes: &[u8], limits: &MeshLimits) -> Result<TetMesh, ReadErr
         let is_read =
             matches!(name, b"MeshFormat" | b"Nodes" | b"Elements" | b"Entities" | b"NOD" | b"ELM");
         if is_read && seen.contains(&name) {
-            let message = format!("a second ${} section", name.escape_ascii());
+            let message = format!("a second ${} section", quote(name));
             return Err(cursor.error(at, ReadFault::Inconsistent(message)));
         }
         match (name, &version) {
@@ -130,9 +130,13 @@ pub(super) fn read(bytes: &[u8], limits: &MeshLimits) -> Result<TetMesh, ReadErr
                 let message = "partitioned meshes are not supported: save the mesh unpartitioned";
                 return Err(cursor.error(at, ReadFault::Unsupported(message.into())));
             }
+            (b"ParametricNodes", _) => {
+                let message = "$ParametricNodes is not supported: save without parameters";
+                return Err(cursor.error(at, ReadFault::Unsupported(message.into())));
+            }
             _ => {
                 if !cursor.skip_past(&[b"\n$End".as_slice(), name].concat()) {
-                    let message = format!("section ${} has no end", name.escape_ascii());
+                    let message = format!("section ${} has no end", quote(name));
                     return Err(cursor.error(at, ReadFault::Inconsistent(message)));
                 }
                 continue;
@@ -145,7 +149,7 @@ pub(super) fn read(bytes: &[u8], limits: &MeshLimits) -> Result<TetMesh, ReadErr
     }
     for (section, section_v1) in [(b"Nodes".as_slice(), b"NOD"), (b"Elements", b"ELM")] {
         if !seen.contains(&section) && !seen.contains(&section_v1.as_slice()) {
-            let expected = format!("a ${} section", section.escape_ascii());
+            let expected = format!("a ${} section", quote(section));
             return Err(cursor.unexpected(cursor.position(), &expected));
         }
     }
@@ -208,7 +212,7 @@ fn expect_end(cursor: &mut Cursor<'_>, name: &[u8]) -> Result<(), ReadError> {
         .iter()
         .any(|prefix| line.strip_prefix(*prefix).is_some_and(|rest| rest == name));
     if !is_end {
-        let expected = format!("the end of section ${}", name.escape_ascii());
+        let expected = format!("the end of section ${}", quote(name));
         return Err(cursor.unexpected(at, &expected));
     }
     Ok(())
