@@ -16,8 +16,8 @@ const VAGUE_NAMES: [&str; 7] = ["common", "helper", "helpers", "misc", "types", 
 
 /// The core's stages in the order of the data flow: each imports only those to its left.
 const STAGES: [&str; 11] = [
-    "mesh",
     "material",
+    "mesh",
     "assembly",
     "factorization",
     "modes",
