@@ -1,0 +1,148 @@
+use super::*;
+use crate::Tracker;
+use sutura_proto::array::Array as WireArray;
+use sutura_proto::state::{RIGID_IDENTITY, StateFrame};
+
+/// Two vertices. Generation 0 has two columns; generation 1 replaces the second one by a new column
+/// and adds half of the first.
+struct Daemon {
+    keeps_old: bool,
+}
+
+const OLD: [f32; 12] = [1., 0., 0., 0., 0., 2., 0., 1., 0., 0., 3., 0.];
+const EXTRA: [f32; 6] = [0., 0., 5., 5., 0., 0.];
+const NEW: [f32; 12] = [1., 0., 0., 0., 0., 2., 0.5, 0., 5., 5., 0., 1.];
+
+impl Arrays for Daemon {
+    async fn frame(&self, query: Query) -> Result<Vec<u8>> {
+        let generation = if let Generation::Number(number) = query.generation { number } else { 0 };
+        let arrays = match (query.resource, generation) {
+            (Resource::Basis, 0) => vec![WireArray::f32(BASIS, [2, 2, 3], &OLD[..])],
+            (Resource::Basis, _) => vec![WireArray::f32(BASIS, [2, 2, 3], &NEW[..])],
+            (Resource::Transfer, _) => {
+                vec![WireArray::f32(TRANSFER, [2, 2], vec![1.0, 0.0, 0.5, 0.0])]
+            }
+            (Resource::Delta, _) if self.keeps_old => vec![
+                WireArray::f32(DELTA_W, [3, 2], vec![1.0, 0.5, 0.0, 0.0, 0.0, 1.0]),
+                WireArray::f32(DELTA_COLUMNS, [1, 2, 3], &EXTRA[..]),
+            ],
+            _ => {
+                let problem = sutura_proto::Problem {
+                    kind: "about:blank".to_owned(),
+                    title: "Not found".to_owned(),
+                    status: 404,
+                    detail: "no such generation".to_owned(),
+                    instance_pointer: None,
+                };
+                return Err(Error::Problem(Box::new(problem)));
+            }
+        };
+        Ok(Frame { generation, arrays }.encode()?)
+    }
+}
+
+#[tokio::test]
+async fn displacements_are_combinations_of_columns() {
+    let basis: Basis = Daemon { keeps_old: true }.basis(Generation::Current).await.unwrap();
+    assert_eq!((basis.generation(), basis.size(), basis.n_vertices()), (0, 2, 2));
+    assert_eq!(basis.column(1), &OLD[6..]);
+    assert!(basis.column(2).is_empty());
+    let displacement = basis.reconstruct(&[2.0, -1.0]).unwrap();
+    assert_eq!(displacement, [2.0, -1.0, 0.0, 0.0, -3.0, 4.0]);
+    assert!(matches!(basis.reconstruct(&[1.0]), Err(Error::Mismatch(_))));
+}
+
+#[tokio::test]
+async fn a_tracker_follows_with_or_without_the_old_generation() {
+    for keeps_old in [true, false] {
+        let mut tracker = Tracker::new(Daemon { keeps_old }).await.unwrap();
+        let mut state = StateFrame {
+            sequence: 1,
+            time_s: 0.0,
+            generation: 0,
+            rigid: RIGID_IDENTITY,
+            q: vec![0.0, 1.0],
+        };
+        assert_eq!(tracker.displacement(&state).await.unwrap(), &OLD[6..]);
+        state.generation = 1;
+        assert_eq!(tracker.displacement(&state).await.unwrap(), &NEW[6..]);
+        assert_eq!(tracker.basis().generation(), 1);
+        state.q.push(0.0);
+        assert!(matches!(tracker.displacement(&state).await, Err(Error::Mismatch(_))));
+    }
+}
+
+#[tokio::test]
+async fn transfers_carry_coordinates_over() {
+    let transfer: Transfer = Daemon { keeps_old: true }.transfer(1.into(), 0).await.unwrap();
+    assert_eq!(transfer.apply(&[2.0, 7.0]).unwrap(), [2.0, 1.0]);
+    assert!(matches!(transfer.apply(&[2.0]), Err(Error::Mismatch(_))));
+}
+
+#[tokio::test]
+async fn a_delta_of_another_basis_is_refused() {
+    let daemon = Daemon { keeps_old: true };
+    let basis: Basis = daemon.basis(1.into()).await.unwrap();
+    let delta = daemon.delta(1.into(), 0).await.unwrap();
+    assert!(matches!(basis.updated(&delta), Err(Error::Mismatch(_))));
+}
+
+/// Answers every query with the same frame.
+struct Hostile(Vec<WireArray<'static>>);
+
+impl Arrays for Hostile {
+    async fn frame(&self, _query: Query) -> Result<Vec<u8>> {
+        Ok(Frame { generation: 0, arrays: self.0.clone() }.encode()?)
+    }
+}
+
+#[tokio::test]
+async fn hostile_shapes_are_refused() {
+    const HUGE: usize = 1 << 60;
+    for shape in [vec![0, HUGE, 3], vec![HUGE, 0, 3], vec![1, 0, 3]] {
+        let hostile = Hostile(vec![WireArray::f32(BASIS, shape, vec![])]);
+        assert!(matches!(hostile.basis::<f32>(0.into()).await, Err(Error::Decode(_))));
+    }
+    for shape in [vec![0, HUGE], vec![HUGE, 0]] {
+        let hostile = Hostile(vec![WireArray::f32(TRANSFER, shape, vec![])]);
+        assert!(matches!(hostile.transfer::<f32>(0.into(), 0).await, Err(Error::Decode(_))));
+    }
+    let wrong = [
+        WireArray::f32(BASIS, [6], vec![0.0; 6]),
+        WireArray::f32(BASIS, [1, 3, 2], vec![0.0; 6]),
+        WireArray::f64(BASIS, [1, 2, 3], vec![0.0; 6]),
+        WireArray::f32("base", [1, 2, 3], vec![0.0; 6]),
+    ];
+    for array in wrong {
+        let hostile = Hostile(vec![array]);
+        assert!(matches!(hostile.basis::<f32>(0.into()).await, Err(Error::Decode(_))));
+    }
+    // A delta that claims no columns, but of a huge mesh; one that would make many from few.
+    let basis: Basis = Daemon { keeps_old: true }.basis(0.into()).await.unwrap();
+    let w = WireArray::f32(DELTA_W, [2, 2], vec![1.0, 0.0, 0.0, 1.0]);
+    let columns = WireArray::f32(DELTA_COLUMNS, [0, HUGE, 3], vec![]);
+    let delta = Hostile(vec![w, columns.clone()]).delta(0.into(), 0).await.unwrap();
+    assert_eq!(basis.updated(&delta).unwrap(), basis);
+    let wide = WireArray::f32(DELTA_W, [2, 4096], vec![0.0; 8192]);
+    let delta = Hostile(vec![wide, columns]).delta(0.into(), 0).await.unwrap();
+    assert!(matches!(basis.updated(&delta), Err(Error::Mismatch(_))));
+}
+
+#[tokio::test]
+async fn evaluators_are_consistent_or_refused() {
+    let (p, r) = (2, 3);
+    let mut arrays = vec![
+        WireArray::u32(EVALUATOR_TETS, [p], vec![4, 7]),
+        WireArray::f64(EVALUATOR_WEIGHTS, [p], vec![1.0; p]),
+        WireArray::f64(EVALUATOR_VOLUMES_M3, [p], vec![1.0; p]),
+        WireArray::f64(EVALUATOR_LAME_PA, [p, 2], vec![1.0; 2 * p]),
+        WireArray::f64(EVALUATOR_SHAPE_GRADIENTS, [p, 4, 3], vec![1.0; 12 * p]),
+        WireArray::f64(EVALUATOR_BASIS_ROWS, [p, 4, 3, r], vec![1.0; 12 * p * r]),
+        WireArray::f64(EVALUATOR_STITCH_STIFFNESS, [r, r], vec![1.0; r * r]),
+    ];
+    let evaluator: Evaluator<f64> = Hostile(arrays.clone()).evaluator(0.into()).await.unwrap();
+    assert_eq!(evaluator.tets, [4, 7]);
+    arrays[1] = WireArray::f64(EVALUATOR_WEIGHTS, [p + 1], vec![1.0; p + 1]);
+    let evaluator = Hostile(arrays).evaluator::<f64>(0.into()).await;
+    assert!(matches!(evaluator, Err(Error::Decode(_))));
+}

@@ -1,0 +1,199 @@
+//! The daemon over Zenoh.
+
+use crate::arrays::{Arrays, Query};
+use crate::error::{Error, Result};
+use crate::states::StateStream;
+use std::time::Duration;
+use sutura_proto::edit::{EditReply, EditRequest};
+use sutura_proto::event::GenerationInfo;
+use sutura_proto::generation::PARAMETER_GENERATION;
+use sutura_proto::keys::{self, Resource};
+use sutura_proto::session::SessionInfo;
+use sutura_proto::simulation::{Force, ForceRequest};
+use sutura_proto::{bus, media};
+use zenoh::bytes::Encoding;
+use zenoh::handlers::{FifoChannelHandler, RingChannel};
+use zenoh::pubsub::Subscriber;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::sample::Sample;
+
+/// How long an answer may take: an edit of a large body takes seconds, from scratch minutes.
+const QUERY_TIMEOUT: Duration = Duration::from_secs(600);
+/// Largest message accepted, in bytes, as Zenoh's configuration wants it.
+const MAX_MESSAGE_BYTES: &str = "1073741824";
+/// States that wait for a slow consumer; older ones are dropped.
+const STATE_BACKLOG: usize = 4;
+
+/// The daemons of a Zenoh network. Cheap to clone; clones share the connection.
+#[derive(Clone, Debug)]
+pub struct ZenohClient {
+    zenoh_session: zenoh::Session,
+}
+
+impl ZenohClient {
+    /// Connects as a client to `endpoint`, such as `tcp/127.0.0.1:7447`; scouting is off.
+    pub async fn open(endpoint: &str) -> Result<ZenohClient> {
+        let endpoints = serde_json::to_string(&[endpoint])?;
+        let mut config = zenoh::Config::default();
+        for (key, value) in [
+            ("mode", r#""client""#),
+            ("connect/endpoints", endpoints.as_str()),
+            ("scouting/multicast/enabled", "false"),
+            ("scouting/gossip/enabled", "false"),
+            ("transport/link/rx/max_message_size", MAX_MESSAGE_BYTES),
+        ] {
+            config.insert_json5(key, value).map_err(Error::Zenoh)?;
+        }
+        ZenohClient::open_with(config).await
+    }
+
+    /// Connects as `config` says.
+    pub async fn open_with(config: zenoh::Config) -> Result<ZenohClient> {
+        let zenoh_session = zenoh::open(config).await.map_err(Error::Zenoh)?;
+        Ok(ZenohClient { zenoh_session })
+    }
+
+    /// The session named `id`, whether or not it exists.
+    pub fn session(&self, id: &str) -> Result<BusSession> {
+        if !keys::is_id(id) {
+            return Err(Error::SessionId(id.to_owned()));
+        }
+        Ok(BusSession { zenoh_session: self.zenoh_session.clone(), id: id.to_owned() })
+    }
+
+    /// The daemons that are up.
+    pub async fn daemons(&self) -> Result<Vec<String>> {
+        let liveliness = self.zenoh_session.liveliness();
+        let replies = liveliness.get(keys::every_daemon()).await.map_err(Error::Zenoh)?;
+        let mut daemons = Vec::new();
+        while let Ok(reply) = replies.recv_async().await {
+            if let Ok(sample) = reply.result() {
+                daemons.extend(keys::parse_daemon(sample.key_expr().as_str()).map(str::to_owned));
+            }
+        }
+        daemons.sort_unstable();
+        Ok(daemons)
+    }
+
+    /// Closes the connection, for all clones.
+    pub async fn close(self) -> Result<()> {
+        self.zenoh_session.close().await.map_err(Error::Zenoh)
+    }
+}
+
+/// A session, reached over Zenoh. Cheap to clone.
+#[derive(Clone, Debug)]
+pub struct BusSession {
+    zenoh_session: zenoh::Session,
+    id: String,
+}
+
+impl BusSession {
+    /// Its identifier.
+    pub fn id(&self) -> &str {
+        &self.id
+    }
+
+    /// What is known of it now.
+    pub async fn info(&self) -> Result<SessionInfo> {
+        let reply = self.query(Resource::Info, String::new(), None).await?;
+        Ok(serde_json::from_slice(&reply.payload().to_bytes())?)
+    }
+
+    /// Applies edits and waits for the new generation.
+    pub async fn edit(&self, request: &EditRequest) -> Result<EditReply> {
+        let request = bus::encode(request).map_err(|e| Error::Mismatch(e.to_string()))?;
+        let reply = self.query(Resource::Edits, String::new(), Some(request)).await?;
+        let payload = reply.payload().to_bytes();
+        if *reply.encoding() == Encoding::from(media::BINCODE) {
+            bus::decode(&payload).map_err(|e| Error::Decode(e.to_string()))
+        } else {
+            Ok(serde_json::from_slice(&payload)?)
+        }
+    }
+
+    /// The states that the simulation publishes.
+    pub async fn states(&self) -> Result<StateStream> {
+        let subscriber = self
+            .zenoh_session
+            .declare_subscriber(self.key(Resource::State)?)
+            .with(RingChannel::new(STATE_BACKLOG))
+            .await
+            .map_err(Error::Zenoh)?;
+        Ok(StateStream::zenoh(subscriber))
+    }
+
+    /// Every new generation from now on.
+    pub async fn generations(&self) -> Result<GenerationStream> {
+        let key = self.key(Resource::Generation)?;
+        let subscriber = self.zenoh_session.declare_subscriber(key).await.map_err(Error::Zenoh)?;
+        Ok(GenerationStream { subscriber })
+    }
+
+    /// Adds forces to the running simulation. Like every publication it is not answered: forces the
+    /// daemon refuses are lost.
+    pub async fn push_forces(&self, forces: &[Force]) -> Result<()> {
+        let body = bus::encode(&ForceRequest { forces: forces.to_vec() })
+            .map_err(|e| Error::Mismatch(e.to_string()))?;
+        self.zenoh_session
+            .put(self.key(Resource::Forces)?, body)
+            .encoding(media::BINCODE)
+            .congestion_control(CongestionControl::Drop)
+            .priority(Priority::RealTime)
+            .express(true)
+            .await
+            .map_err(Error::Zenoh)
+    }
+
+    fn key(&self, resource: Resource) -> Result<String> {
+        keys::session(&self.id, resource).ok_or_else(|| Error::SessionId(self.id.clone()))
+    }
+
+    async fn query(
+        &self,
+        resource: Resource,
+        parameters: String,
+        payload: Option<Vec<u8>>,
+    ) -> Result<Sample> {
+        let key = self.key(resource)?;
+        let selector = format!("{key}?{parameters}");
+        let mut get = self.zenoh_session.get(&selector).timeout(QUERY_TIMEOUT);
+        if let Some(payload) = payload {
+            get = get.payload(payload).encoding(media::BINCODE);
+        }
+        let replies = get.await.map_err(Error::Zenoh)?;
+        // No matching queryable ends the replies at once.
+        let reply = replies.recv_async().await.map_err(|_| Error::Absent(key))?;
+        reply.into_result().map_err(|error| {
+            let payload = error.payload().to_bytes();
+            match serde_json::from_slice(&payload) {
+                Ok(problem) => Error::Problem(Box::new(problem)),
+                Err(_) => Error::Decode("the error is not a problem document".to_owned()),
+            }
+        })
+    }
+}
+
+impl Arrays for BusSession {
+    async fn frame(&self, query: Query) -> Result<Vec<u8>> {
+        let mut parameters = format!("{PARAMETER_GENERATION}={}", query.generation);
+        for (name, value) in query.parameters() {
+            parameters.push_str(&format!(";{name}={value}"));
+        }
+        let reply = self.query(query.resource, parameters, None).await?;
+        Ok(reply.payload().to_bytes().into_owned())
+    }
+}
+
+/// New generations of a session.
+pub struct GenerationStream {
+    subscriber: Subscriber<FifoChannelHandler<Sample>>,
+}
+
+impl GenerationStream {
+    /// The next generation.
+    pub async fn next(&mut self) -> Result<GenerationInfo> {
+        let sample = self.subscriber.recv_async().await.map_err(Error::Zenoh)?;
+        Ok(serde_json::from_slice(&sample.payload().to_bytes())?)
+    }
+}
