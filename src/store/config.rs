@@ -42,7 +42,7 @@ impl Default for WorkConfig {
     fn default() -> Self {
         Self {
             n_build_threads: 2,
-            n_query_threads: 1,
+            n_query_threads: 2,
             n_stepping_threads: 1,
             build_queue_limit: 16,
             edit_queue_limit: 64,
@@ -95,6 +95,8 @@ pub struct Limits {
     pub max_forces_per_request: usize,
     /// Forces acting at once in one simulation.
     pub max_active_forces: usize,
+    /// Largest component of a force in N.
+    pub max_force_n: f64,
     /// Longest time a force may act in s of simulated time.
     pub max_force_duration_s: f64,
 }
@@ -120,6 +122,7 @@ impl Default for Limits {
             max_publish_hz: 1000.0,
             max_forces_per_request: 256,
             max_active_forces: 1024,
+            max_force_n: 1e9,
             max_force_duration_s: 3600.0,
         }
     }

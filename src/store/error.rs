@@ -112,6 +112,8 @@ pub enum InputError {
     PoseLength { pose: usize, given: usize, r: usize },
     #[error("pose {pose}: number {index} is not finite")]
     PoseNotFinite { pose: usize, index: usize },
+    #[error("pose {pose}: the coordinates are so large that the result overflows")]
+    PoseOverflows { pose: usize },
     #[error("dt_s must be between {low} and 1 s, not {given}")]
     TimeStep { given: f64, low: f64 },
     #[error("publish_hz must be positive and at most {high}, not {given}")]

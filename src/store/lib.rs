@@ -10,13 +10,20 @@
 //!
 //! Knows no HTTP, no Zenoh and no wire format.
 
+mod check;
 mod config;
+mod control;
 mod error;
 mod event;
+mod live;
+mod pacing;
 mod pool;
+mod prepared;
 mod session;
 mod simulation;
+mod stepping;
 mod store;
+mod tasks;
 
 pub use config::{Limits, StoreConfig, WorkConfig};
 pub use error::{InputError, StoreError};
@@ -26,4 +33,4 @@ pub use session::{
     SessionInfo, SessionState,
 };
 pub use simulation::{Frame, SimulationConfig, SimulationInfo, VertexForce};
-pub use store::Store;
+pub use store::{Load, Store};

@@ -14,6 +14,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+use tokio::sync::oneshot;
 
 /// Longest time a refused caller is told to wait, in s.
 const MAX_RETRY_AFTER_S: f64 = 600.0;
@@ -132,6 +133,36 @@ impl Pool {
         drop(state);
         self.shared.changed.notify_all();
         Ok(Ticket { shared: self.shared.clone(), cancel })
+    }
+
+    /// Runs `job` and returns its answer. Dropping the future cancels the job; a panic inside it
+    /// is [`StoreError::Failed`].
+    pub(crate) async fn run<T: Send + 'static>(
+        &self,
+        class: Class,
+        lane: Option<SessionId>,
+        what: &'static str,
+        job: impl FnOnce(&CancelFlag) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreError> {
+        let (reply, answer) = oneshot::channel();
+        let ticket = self.submit(class, lane, move |cancel| {
+            // The caller may have gone meanwhile; then the answer is dropped.
+            let _ = reply.send(catching(what, || job(cancel)));
+        })?;
+        let _guard = ticket.cancel_on_drop();
+        self.answer(answer).await
+    }
+
+    /// Awaits what a task sends; a task dropped before it ran sends nothing.
+    pub(crate) async fn answer<T>(
+        &self,
+        answer: oneshot::Receiver<Result<T, StoreError>>,
+    ) -> Result<T, StoreError> {
+        match answer.await {
+            Ok(result) => result,
+            Err(_) if self.shared.lock().open => Err(StoreError::Cancelled),
+            Err(_) => Err(StoreError::ShuttingDown),
+        }
     }
 
     /// Cancels every task of `lane`.
@@ -274,6 +305,23 @@ impl Shared {
         }
         true
     }
+}
+
+/// Runs `job`; a panic inside it becomes [`StoreError::Failed`]. The job must not leave anything
+/// shared half-changed: it computes first and publishes whole.
+pub(crate) fn catching<T>(
+    what: &'static str,
+    job: impl FnOnce() -> Result<T, StoreError>,
+) -> Result<T, StoreError> {
+    catch_unwind(AssertUnwindSafe(job)).unwrap_or_else(|panic| {
+        let message = panic
+            .downcast_ref::<String>()
+            .map(String::as_str)
+            .or_else(|| panic.downcast_ref::<&str>().copied())
+            .unwrap_or("no message");
+        tracing::error!(what, message, "a computation panicked");
+        Err(StoreError::Failed { what })
+    })
 }
 
 /// A queued task, seen by the one who queued it.

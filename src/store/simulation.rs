@@ -2,14 +2,17 @@
 
 use crate::error::StoreError;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use sutura_core::reduced::SimulationParams;
+use tokio::sync::broadcast;
 
 /// How to simulate a session.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulationConfig {
     /// Time step, integrator, gravity.
     pub params: SimulationParams,
-    /// Frames published for each second of simulated time, in Hz (at most one for each step).
+    /// Frames published for each second of simulated time, in Hz (at most one for each step, and
+    /// one more on either side of a change of generation).
     pub publish_hz: f64,
 }
 
@@ -33,11 +36,15 @@ pub struct Frame {
     pub time_s: f64,
     /// The generation whose basis `q` belongs to.
     pub generation: u64,
-    /// Rigid motion: position in m, then a unit quaternion (x, y, z, w).
+    /// Rigid motion: position in m, then a unit quaternion (x, y, z, w). Bodies are held in place
+    /// so far, so it is the identity.
     pub rigid: [f64; 7],
     /// Reduced coordinates.
     pub q: Vec<f32>,
 }
+
+/// Position and orientation of a body that is held in place.
+const HELD_IN_PLACE: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
 
 /// What is known of a simulation at one moment.
 #[derive(Clone, Debug)]
@@ -60,4 +67,60 @@ pub struct SimulationInfo {
     pub n_active_forces: usize,
     /// Why it no longer runs, if it failed.
     pub error: Option<Arc<StoreError>>,
+}
+
+/// The frames of one session, from one simulation to the next.
+pub(crate) struct FrameSource {
+    sender: broadcast::Sender<Arc<Frame>>,
+    next_sequence: AtomicU64,
+}
+
+impl FrameSource {
+    /// A subscriber may fall `backlog` frames behind before it loses the oldest.
+    pub(crate) fn new(backlog: usize) -> Self {
+        Self { sender: broadcast::Sender::new(backlog), next_sequence: AtomicU64::new(0) }
+    }
+
+    pub(crate) fn subscribe(&self) -> broadcast::Receiver<Arc<Frame>> {
+        self.sender.subscribe()
+    }
+
+    pub(crate) fn publish(&self, time_s: f64, generation: u64, q: &[f64]) {
+        let frame = Frame {
+            sequence: self.next_sequence.fetch_add(1, Ordering::Relaxed),
+            time_s,
+            generation,
+            rigid: HELD_IN_PLACE,
+            q: q.iter().map(|&x| (x as f32).clamp(f32::MIN, f32::MAX)).collect(),
+        };
+        // Sending fails only when nobody listens.
+        let _ = self.sender.send(Arc::new(frame));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tokio::sync::broadcast::error::TryRecvError;
+
+    #[test]
+    fn a_slow_subscriber_loses_the_oldest_frames_and_holds_up_nobody() {
+        let source = FrameSource::new(4);
+        let mut slow = source.subscribe();
+        for step in 0..10 {
+            source.publish(f64::from(step), 0, &[1.0]);
+        }
+        assert_eq!(slow.try_recv(), Err(TryRecvError::Lagged(6)));
+        let kept: Vec<u64> =
+            std::iter::from_fn(|| slow.try_recv().ok().map(|f| f.sequence)).collect();
+        assert_eq!(kept, [6, 7, 8, 9]);
+    }
+
+    #[test]
+    fn a_frame_holds_finite_numbers_even_where_single_precision_ends() {
+        let source = FrameSource::new(1);
+        let mut frames = source.subscribe();
+        source.publish(0.0, 0, &[1e300, -1e300, 0.5]);
+        assert_eq!(frames.try_recv().unwrap().q, [f32::MAX, f32::MIN, 0.5]);
+    }
 }

@@ -1,17 +1,35 @@
 //! The interface of the store.
 
+use crate::check;
 use crate::config::StoreConfig;
+use crate::control::TaskControl;
 use crate::error::StoreError;
 use crate::event::Event;
+use crate::live::{Leftovers, LiveSession, Surroundings};
+use crate::pool::{CancelFlag, Class, ClassLimits, Pool};
+use crate::prepared::PreparedBodies;
 use crate::session::{
     CreateSession, EditRequest, Generation, GenerationRef, SessionId, SessionInfo,
 };
 use crate::simulation::{Frame, SimulationConfig, SimulationInfo, VertexForce};
-use std::sync::Arc;
-use std::time::Duration;
+use crate::stepping::SteppingThreads;
+use crate::tasks::{run_build, run_edit};
+use std::collections::BTreeMap;
+use std::ops::Bound;
+use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::time::{Duration, Instant};
 use sutura_core::control::Control;
 use sutura_core::reduced::Evaluation;
-use tokio::sync::broadcast;
+use tokio::sync::{broadcast, oneshot};
+
+/// Classes of the build pool: edits go before builds.
+const EDIT: Class = 0;
+const BUILD: Class = 1;
+/// The one class of the query pool.
+const QUERY: Class = 0;
+
+/// How long cancelled work may take to notice before [`Store::shutdown`] goes without it.
+const CANCEL_GRACE: Duration = Duration::from_secs(2);
 
 /// Every session of this daemon. Cheap to clone; all clones are the same store.
 ///
@@ -19,41 +37,132 @@ use tokio::sync::broadcast;
 /// threads; dropping its future cancels the work.
 #[derive(Clone)]
 pub struct Store {
-    config: Arc<StoreConfig>,
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    config: StoreConfig,
+    sessions: RwLock<BTreeMap<SessionId, Arc<LiveSession>>>,
+    surroundings: Surroundings,
+    prepared: Arc<PreparedBodies>,
+    builds: Pool,
+    queries: Pool,
+    stepping: SteppingThreads,
+}
+
+/// How busy the store is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Load {
+    /// Sessions.
+    pub n_sessions: usize,
+    /// Simulations, failed ones included.
+    pub n_simulations: usize,
+    /// Builds that wait for a thread.
+    pub n_waiting_builds: usize,
+    /// Builds that run.
+    pub n_running_builds: usize,
+    /// Edits that wait for a thread.
+    pub n_waiting_edits: usize,
+    /// Edits that run.
+    pub n_running_edits: usize,
+    /// Queries that wait for a thread.
+    pub n_waiting_queries: usize,
+    /// Queries that run.
+    pub n_running_queries: usize,
 }
 
 impl Store {
     /// Starts the store's threads.
     pub fn new(config: StoreConfig) -> std::io::Result<Store> {
-        Ok(Store { config: Arc::new(config) })
+        let work = &config.work;
+        let n_build_threads = work.n_build_threads.max(1);
+        let edits = ClassLimits { n_waiting: work.edit_queue_limit, n_running: n_build_threads };
+        let builds = ClassLimits {
+            n_waiting: work.build_queue_limit,
+            // One thread is left to edits, which somebody waits for.
+            n_running: (n_build_threads - 1).max(1),
+        };
+        let n_query_threads = work.n_query_threads.max(1);
+        let queries = ClassLimits { n_waiting: work.query_queue_limit, n_running: n_query_threads };
+        let surroundings = Surroundings {
+            events_of_all: broadcast::Sender::new(work.event_backlog.max(1)),
+            event_backlog: work.event_backlog.max(1),
+            frame_backlog: work.frame_backlog.max(1),
+            n_kept_generations: work.n_kept_generations.max(1),
+        };
+        let shared = Shared {
+            sessions: RwLock::default(),
+            surroundings,
+            prepared: Arc::default(),
+            builds: Pool::start("build", n_build_threads, vec![edits, builds])?,
+            queries: Pool::start("query", n_query_threads, vec![queries])?,
+            stepping: SteppingThreads::start(work.n_stepping_threads, work.stepping_queue_limit)?,
+            config,
+        };
+        Ok(Store { shared: Arc::new(shared) })
     }
 
     /// The configuration in force.
     pub fn config(&self) -> &StoreConfig {
-        &self.config
+        &self.shared.config
+    }
+
+    /// How busy the store is now.
+    pub fn load(&self) -> Load {
+        let of = |pool: &Pool, class: Class| pool.load().get(class).copied().unwrap_or_default();
+        let (n_waiting_edits, n_running_edits) = of(&self.shared.builds, EDIT);
+        let (n_waiting_builds, n_running_builds) = of(&self.shared.builds, BUILD);
+        let (n_waiting_queries, n_running_queries) = of(&self.shared.queries, QUERY);
+        Load {
+            n_sessions: self.n_sessions(),
+            n_simulations: self.shared.stepping.n_simulations(),
+            n_waiting_builds,
+            n_running_builds,
+            n_waiting_edits,
+            n_running_edits,
+            n_waiting_queries,
+            n_running_queries,
+        }
     }
 
     /// Opens a session and queues its build.
     pub fn create(&self, request: CreateSession) -> Result<SessionId, StoreError> {
-        let _ = request;
-        unimplemented!()
+        let shared = &self.shared;
+        check::create(&request, &shared.config.limits)?;
+        let CreateSession { name, mesh, params } = request;
+        let session = Arc::new(LiveSession::new(name, mesh.clone(), shared.surroundings.clone()));
+        let task = {
+            let (session, prepared) = (session.clone(), shared.prepared.clone());
+            let interval = shared.config.work.progress_interval;
+            move |cancel: &CancelFlag| {
+                run_build(&session, mesh, &params, &prepared, interval, cancel);
+            }
+        };
+        let id = session.id;
+        self.insert(session, || shared.builds.submit(BUILD, Some(id), task).map(drop))?;
+        Ok(id)
     }
 
     /// What is known of a session now.
     pub fn info(&self, id: SessionId) -> Result<SessionInfo, StoreError> {
-        let _ = id;
-        unimplemented!()
+        Ok(self.session(id)?.info())
     }
 
     /// At most `limit` sessions in the order of creation, beginning behind `after`.
     pub fn list(&self, after: Option<SessionId>, limit: usize) -> Vec<SessionInfo> {
-        let _ = (after, limit);
-        unimplemented!()
+        let begin = after.map_or(Bound::Unbounded, Bound::Excluded);
+        let page: Vec<Arc<LiveSession>> = self
+            .sessions()
+            .range((begin, Bound::Unbounded))
+            .take(limit)
+            .map(|(_, session)| session.clone())
+            .collect();
+        page.iter().map(|session| session.info()).collect()
     }
 
     /// Number of sessions.
     pub fn n_sessions(&self) -> usize {
-        unimplemented!()
+        self.sessions().len()
     }
 
     /// Returns once the session's build has ended, well or badly, or after `timeout`; the state in
@@ -63,20 +172,33 @@ impl Store {
         id: SessionId,
         timeout: Duration,
     ) -> Result<SessionInfo, StoreError> {
-        let _ = (id, timeout);
-        unimplemented!()
+        let session = self.session(id)?;
+        // Whether it settled in time shows in the state.
+        let _ = tokio::time::timeout(timeout, session.settled()).await;
+        self.info(id)
     }
 
     /// Ends a session with everything that runs for it.
     pub fn delete(&self, id: SessionId) -> Result<(), StoreError> {
-        let _ = id;
-        unimplemented!()
+        let session = self.sessions_mut().remove(&id).ok_or(StoreError::NoSession(id))?;
+        let leftovers = session.delete();
+        self.shared.builds.cancel_lane(id);
+        tracing::info!(session = %id, "session deleted");
+        self.drop_later(leftovers);
+        Ok(())
     }
 
-    /// A new session with the same generations, sharing every artifact; not simulated.
+    /// A new session with the same generations, sharing every artifact; not simulated. It takes
+    /// the name of the old one unless it is given its own.
     pub fn fork(&self, id: SessionId, name: Option<String>) -> Result<SessionId, StoreError> {
-        let _ = (id, name);
-        unimplemented!()
+        if let Some(name) = &name {
+            check::name(name, &self.shared.config.limits)?;
+        }
+        let fork = Arc::new(self.session(id)?.fork(name)?);
+        let fork_id = fork.id;
+        self.insert(fork, || Ok(()))?;
+        tracing::info!(session = %fork_id, origin = %id, "session forked");
+        Ok(fork_id)
     }
 
     /// Makes the next generation. Edits of one session run one after another.
@@ -85,8 +207,17 @@ impl Store {
         id: SessionId,
         request: EditRequest,
     ) -> Result<Arc<Generation>, StoreError> {
-        let _ = (id, request);
-        unimplemented!()
+        let shared = &self.shared;
+        let session = self.session(id)?;
+        check::edit(&request, &shared.config.limits)?;
+        session.check_editable(request.base_generation)?;
+        let (reply, answer) = oneshot::channel();
+        let config = shared.config.clone();
+        let ticket = shared.builds.submit(EDIT, Some(id), move |cancel| {
+            run_edit(&session, &request, &config, cancel, reply);
+        })?;
+        let _guard = ticket.cancel_on_drop();
+        shared.builds.answer(answer).await
     }
 
     /// A generation of a session.
@@ -95,8 +226,7 @@ impl Store {
         id: SessionId,
         which: GenerationRef,
     ) -> Result<Arc<Generation>, StoreError> {
-        let _ = (id, which);
-        unimplemented!()
+        self.session(id)?.generation(which)
     }
 
     /// Energy, force and stiffness at each of `poses` (r numbers each), by cubature or, if `exact`,
@@ -108,19 +238,36 @@ impl Store {
         poses: Vec<Vec<f64>>,
         exact: bool,
     ) -> Result<Vec<Evaluation>, StoreError> {
-        let _ = (id, which, poses, exact);
-        unimplemented!()
+        let generation = self.generation(id, which)?;
+        check::poses(&poses, generation.artifacts.basis_size(), &self.shared.config.limits)?;
+        let evaluate_all = move |cancel: &CancelFlag| {
+            let mut evaluations = Vec::with_capacity(poses.len());
+            for (pose, q) in poses.iter().enumerate() {
+                if cancel.is_set() {
+                    return Err(StoreError::Cancelled);
+                }
+                let evaluation = if exact {
+                    generation.artifacts.evaluate_exact(q)
+                } else {
+                    generation.artifacts.model().evaluate(q)
+                };
+                check::evaluation(pose, &evaluation)?;
+                evaluations.push(evaluation);
+            }
+            Ok(evaluations)
+        };
+        self.shared.queries.run(QUERY, None, "the evaluation", evaluate_all).await
     }
 
     /// Runs `job` on the query pool: for anything longer than half a millisecond that belongs to a
-    /// request (parsing a mesh, assembling an array).
+    /// request (parsing a mesh, assembling an array). `what` names it in the log if it panics.
     pub async fn compute<T: Send + 'static>(
         &self,
         what: &'static str,
         job: impl FnOnce(&dyn Control) -> T + Send + 'static,
     ) -> Result<T, StoreError> {
-        let _ = (what, job);
-        unimplemented!()
+        let run = move |cancel: &CancelFlag| Ok(job(&TaskControl::silent(cancel)));
+        self.shared.queries.run(QUERY, None, what, run).await
     }
 
     /// Starts the session's simulation at rest, or changes how the running one goes on.
@@ -129,26 +276,46 @@ impl Store {
         id: SessionId,
         config: SimulationConfig,
     ) -> Result<SimulationInfo, StoreError> {
-        let _ = (id, config);
-        unimplemented!()
+        let shared = &self.shared;
+        let session = self.session(id)?;
+        check::simulation(&config, &shared.config.limits)?;
+        let limit = shared.config.limits.max_simulations;
+        let handle = session.put_simulation(
+            |running| running.configure(config),
+            |generation, frames| {
+                let session = Arc::downgrade(&session);
+                let on_failure = move || {
+                    if let Some(session) = session.upgrade() {
+                        session.simulation_failed();
+                    }
+                };
+                shared.stepping.add(generation, config, frames, limit, on_failure)
+            },
+        )?;
+        Ok(handle.info())
     }
 
     /// What is known of the session's simulation now.
     pub fn simulation(&self, id: SessionId) -> Result<SimulationInfo, StoreError> {
-        let _ = id;
-        unimplemented!()
+        Ok(self.session(id)?.simulation()?.info())
     }
 
     /// Ends the session's simulation.
     pub fn stop_simulation(&self, id: SessionId) -> Result<(), StoreError> {
-        let _ = id;
-        unimplemented!()
+        self.session(id)?.stop_simulation()
     }
 
     /// Lets forces act on the running simulation from its next step on.
     pub fn push_forces(&self, id: SessionId, forces: Vec<VertexForce>) -> Result<(), StoreError> {
-        let _ = (id, forces);
-        unimplemented!()
+        let limits = &self.shared.config.limits;
+        let session = self.session(id)?;
+        let n_vertices = session.info().mesh.vertices().len();
+        check::forces(&forces, n_vertices, limits)?;
+        let simulation = session.simulation()?;
+        if !simulation.is_running() {
+            return Err(StoreError::NoSimulation);
+        }
+        simulation.push_forces(forces, limits.max_active_forces)
     }
 
     /// The frames of the session's present and future simulations. Ends when the session does.
@@ -156,26 +323,67 @@ impl Store {
         &self,
         id: SessionId,
     ) -> Result<broadcast::Receiver<Arc<Frame>>, StoreError> {
-        let _ = id;
-        unimplemented!()
+        self.session(id)?.subscribe_frames()
     }
 
     /// What happens to the session. Ends when the session does.
     pub fn subscribe(&self, id: SessionId) -> Result<broadcast::Receiver<Event>, StoreError> {
-        let _ = id;
-        unimplemented!()
+        self.session(id)?.subscribe()
     }
 
     /// What happens to any session. A subscriber that fell behind can start again from
     /// [`Store::list`].
     pub fn subscribe_all(&self) -> broadcast::Receiver<Event> {
-        unimplemented!()
+        self.shared.surroundings.events_of_all.subscribe()
     }
 
-    /// Takes no new work, cancels builds, lets edits finish until `deadline` has passed, then ends
-    /// every thread.
-    pub async fn shutdown(&self, deadline: Duration) {
-        let _ = deadline;
-        unimplemented!()
+    /// Takes no new work, cancels builds and what waits, lets running edits and queries finish
+    /// until `deadline` has passed and then cancels them too. Then simulations and subscriptions
+    /// end. Tells whether all work has ended.
+    pub async fn shutdown(&self, deadline: Duration) -> bool {
+        let shared = self.shared.clone();
+        let deadline = Instant::now() + deadline;
+        let join = tokio::task::spawn_blocking(move || {
+            shared.builds.close(&[BUILD]);
+            shared.queries.close(&[]);
+            let edits_ended = shared.builds.join(deadline, CANCEL_GRACE);
+            shared.queries.join(deadline, CANCEL_GRACE) && edits_ended
+        });
+        let ended = join.await.unwrap_or(false);
+        self.sessions().values().for_each(|session| session.close());
+        ended
+    }
+
+    fn sessions(&self) -> RwLockReadGuard<'_, BTreeMap<SessionId, Arc<LiveSession>>> {
+        self.shared.sessions.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn sessions_mut(&self) -> RwLockWriteGuard<'_, BTreeMap<SessionId, Arc<LiveSession>>> {
+        self.shared.sessions.write().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn session(&self, id: SessionId) -> Result<Arc<LiveSession>, StoreError> {
+        self.sessions().get(&id).cloned().ok_or(StoreError::NoSession(id))
+    }
+
+    /// Adds a session if there is room and `admit` lets it in.
+    fn insert(
+        &self,
+        session: Arc<LiveSession>,
+        admit: impl FnOnce() -> Result<(), StoreError>,
+    ) -> Result<(), StoreError> {
+        let limit = self.shared.config.limits.max_sessions;
+        let mut sessions = self.sessions_mut();
+        if sessions.len() >= limit {
+            return Err(StoreError::Full { what: "sessions", limit });
+        }
+        session.announce(admit)?;
+        sessions.insert(session.id, session);
+        Ok(())
+    }
+
+    /// Frees large memory on a worker; here and now if none has time.
+    fn drop_later(&self, leftovers: Leftovers) {
+        drop(self.shared.queries.submit(QUERY, None, move |_| drop(leftovers)));
     }
 }

@@ -1,0 +1,74 @@
+//! The store's side of a computation in the core: cancellation, progress and the clock.
+
+use crate::live::LiveSession;
+use crate::pool::CancelFlag;
+use crate::session::Progress;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use sutura_core::control::{Control, Stage};
+
+/// Given to the core for one task.
+pub(crate) struct TaskControl<'a> {
+    cancel: &'a CancelFlag,
+    begin: Instant,
+    reporter: Option<Reporter<'a>>,
+}
+
+/// Passes progress on to a session: each change of stage, and within a stage not more often than
+/// `interval`.
+struct Reporter<'a> {
+    session: &'a LiveSession,
+    interval: Duration,
+    last: Mutex<Option<(Stage, Instant)>>,
+}
+
+impl<'a> TaskControl<'a> {
+    /// Reports no progress.
+    pub(crate) fn silent(cancel: &'a CancelFlag) -> Self {
+        Self { cancel, begin: Instant::now(), reporter: None }
+    }
+
+    /// Reports progress to `session`.
+    pub(crate) fn reporting(
+        cancel: &'a CancelFlag,
+        session: &'a LiveSession,
+        interval: Duration,
+    ) -> Self {
+        let reporter = Some(Reporter { session, interval, last: Mutex::new(None) });
+        Self { cancel, begin: Instant::now(), reporter }
+    }
+}
+
+impl Control for TaskControl<'_> {
+    fn is_cancelled(&self) -> bool {
+        self.cancel.is_set()
+    }
+
+    fn progress(&self, stage: Stage, fraction: f64) {
+        if let Some(reporter) = &self.reporter
+            && reporter.is_due(stage, Instant::now())
+        {
+            reporter.session.report(Progress { stage, fraction: fraction.clamp(0.0, 1.0) });
+        }
+    }
+
+    fn now(&self) -> Duration {
+        self.begin.elapsed()
+    }
+}
+
+impl Reporter<'_> {
+    fn is_due(&self, stage: Stage, now: Instant) -> bool {
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let due = match *last {
+            Some((last_stage, at)) => {
+                last_stage != stage || now.saturating_duration_since(at) >= self.interval
+            }
+            None => true,
+        };
+        if due {
+            *last = Some((stage, now));
+        }
+        due
+    }
+}

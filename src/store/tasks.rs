@@ -1,0 +1,132 @@
+//! What the build pool runs: a session's first build, and its edits.
+
+use crate::check;
+use crate::config::StoreConfig;
+use crate::control::TaskControl;
+use crate::error::StoreError;
+use crate::live::LiveSession;
+use crate::pool::{CancelFlag, catching};
+use crate::prepared::PreparedBodies;
+use crate::session::{EditRequest, Generation};
+use std::sync::Arc;
+use std::time::Duration;
+use sutura_core::build::{Artifacts, BuildParams, RebuildParams, build, rebuild};
+use sutura_core::control::Control;
+use sutura_core::mesh::TetMesh;
+use tokio::sync::oneshot;
+
+/// Builds the first generation of `session`, or takes an equal body that exists already.
+pub(crate) fn run_build(
+    session: &LiveSession,
+    mesh: Arc<TetMesh>,
+    params: &BuildParams,
+    prepared: &PreparedBodies,
+    interval: Duration,
+    cancel: &CancelFlag,
+) {
+    let _span = tracing::info_span!("build", session = %session.id).entered();
+    let control = TaskControl::reporting(cancel, session, interval);
+    let body = catching("the build", || build_or_share(mesh, params, prepared, &control));
+    let computed_in = control.now();
+    match &body {
+        Ok(body) => tracing::info!(
+            n_free_dofs = body.n_free_dofs(),
+            n_modes = body.n_modes(),
+            basis_size = body.basis_size(),
+            seconds = computed_in.as_secs_f64(),
+            "body ready"
+        ),
+        Err(error) => tracing::warn!(%error, "build ended without a body"),
+    }
+    session.settle(body.map(|artifacts| {
+        Arc::new(Generation {
+            number: 0,
+            artifacts,
+            made_by: None,
+            stitch_ids: Vec::new(),
+            computed_in,
+        })
+    }));
+}
+
+fn build_or_share(
+    mesh: Arc<TetMesh>,
+    params: &BuildParams,
+    prepared: &PreparedBodies,
+    control: &dyn Control,
+) -> Result<Arc<Artifacts>, StoreError> {
+    if let Some(body) = prepared.find(&mesh, params) {
+        tracing::info!("an equal body is shared");
+        return Ok(body);
+    }
+    let body = Arc::new(build(mesh, params, control)?);
+    prepared.add(&body);
+    Ok(body)
+}
+
+/// Makes the next generation of `session`. Answers as soon as it is current; then the simulation,
+/// if there is one, is told to follow.
+pub(crate) fn run_edit(
+    session: &LiveSession,
+    request: &EditRequest,
+    config: &StoreConfig,
+    cancel: &CancelFlag,
+    reply: oneshot::Sender<Result<Arc<Generation>, StoreError>>,
+) {
+    let _span = tracing::info_span!("edit", session = %session.id).entered();
+    let previous = match session.begin_rebuild(request.base_generation) {
+        Ok(previous) => previous,
+        Err(error) => {
+            // The caller may have gone; then nobody needs the answer, here and below.
+            let _ = reply.send(Err(error));
+            return;
+        }
+    };
+    let control = TaskControl::reporting(cancel, session, config.work.progress_interval);
+    match catching("the edit", || next_generation(&previous, request, config, &control)) {
+        Ok(generation) => {
+            tracing::info!(
+                generation = generation.number,
+                method = ?request.method,
+                seconds = generation.computed_in.as_secs_f64(),
+                "generation ready"
+            );
+            let (simulation, leftovers) = session.publish(generation.clone());
+            let _ = reply.send(Ok(generation.clone()));
+            drop(leftovers);
+            if let Some(simulation) = simulation {
+                // A simulation that cannot follow goes on with what it has; the panic is logged.
+                let _ = catching("the transfer", || {
+                    simulation.follow(generation);
+                    Ok(())
+                });
+            }
+        }
+        Err(error) => {
+            tracing::info!(%error, "edit refused");
+            session.abandon_rebuild();
+            let _ = reply.send(Err(error));
+        }
+    }
+}
+
+fn next_generation(
+    previous: &Generation,
+    request: &EditRequest,
+    config: &StoreConfig,
+    control: &dyn Control,
+) -> Result<Arc<Generation>, StoreError> {
+    check::n_stitches(previous.artifacts.stitches().len(), &request.edits, &config.limits)?;
+    let params = RebuildParams { method: request.method, tolerance: request.tolerance };
+    let (artifacts, stitch_ids) = rebuild(&previous.artifacts, &request.edits, &params, control)?;
+    if control.is_cancelled() {
+        return Err(StoreError::Cancelled);
+    }
+    Ok(Arc::new(Generation {
+        number: previous.number + 1,
+        artifacts: Arc::new(artifacts),
+        made_by: Some(request.method),
+        stitch_ids,
+        computed_in: control.now(),
+    }))
+}
