@@ -24,6 +24,8 @@ mod simulation;
 mod stepping;
 mod store;
 mod tasks;
+#[cfg(test)]
+mod tests;
 
 pub use config::{Limits, StoreConfig, WorkConfig};
 pub use error::{InputError, StoreError};

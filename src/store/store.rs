@@ -23,8 +23,8 @@ use sutura_core::reduced::Evaluation;
 use tokio::sync::{broadcast, oneshot};
 
 /// Classes of the build pool: edits go before builds.
-const EDIT: Class = 0;
-const BUILD: Class = 1;
+pub(crate) const EDIT: Class = 0;
+pub(crate) const BUILD: Class = 1;
 /// The one class of the query pool.
 const QUERY: Class = 0;
 
@@ -352,6 +352,11 @@ impl Store {
         let ended = join.await.unwrap_or(false);
         self.sessions().values().for_each(|session| session.close());
         ended
+    }
+
+    #[cfg(test)]
+    pub(crate) fn builds(&self) -> &Pool {
+        &self.shared.builds
     }
 
     fn sessions(&self) -> RwLockReadGuard<'_, BTreeMap<SessionId, Arc<LiveSession>>> {
