@@ -6,7 +6,7 @@
 //! | `modes` | [`MODES`] | (n_modes, n_vertices, 3) |
 //! | `basis` | [`BASIS`] | (r, n_vertices, 3) |
 //! | `mass` | [`MASS`] | (n_vertices) |
-//! | `transfer` | [`TRANSFER`] | (r, r of `have`) |
+//! | `transfer` | [`TRANSFER`] | (r, r of `from`) |
 //! | `delta` | [`DELTA_COLUMNS`] | (c, n_vertices, 3) |
 //! | | [`DELTA_W`] | (r of `have` + c, r) |
 //! | `evaluator` | [`EVALUATOR_TETS`] (u32) | (p) |
@@ -18,12 +18,15 @@
 //! | | [`EVALUATOR_STITCH_STIFFNESS`] | (r, r) |
 //!
 //! Resources of one array can be had as .npy too; `delta` and `evaluator` are frames only. Query
-//! parameters: [`PARAMETER_DTYPE`], [`PARAMETER_HAVE`], and over Zenoh [`PARAMETER_GENERATION`].
-//! The new basis of a `delta` is `[basis of have | columns] · w`, column by column.
+//! parameters: [`PARAMETER_DTYPE`], [`PARAMETER_FROM`], [`PARAMETER_HAVE`], and over Zenoh
+//! [`PARAMETER_GENERATION`]. The new basis of a `delta` is `[basis of have | columns] · w`, column
+//! by column.
 
 /// `f32` (default) or `f64`: the element type of every array but [`EVALUATOR_TETS`].
 pub const PARAMETER_DTYPE: &str = "dtype";
-/// The older generation a `transfer` or `delta` starts from; without it, the preceding one.
+/// The generation whose coordinates a `transfer` takes; without it, the preceding one.
+pub const PARAMETER_FROM: &str = "from";
+/// The generation whose basis the client of a `delta` holds; required.
 pub const PARAMETER_HAVE: &str = "have";
 /// The generation asked for, over Zenoh: a number or `current` (default).
 pub const PARAMETER_GENERATION: &str = "generation";

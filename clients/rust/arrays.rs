@@ -69,15 +69,16 @@ impl Scalar for f64 {
 pub struct Query {
     pub(crate) resource: Resource,
     pub(crate) generation: Generation,
-    have: Option<u64>,
+    /// The older generation that the arrays relate to, under its name in the query.
+    relative_to: Option<(&'static str, u64)>,
     dtype: &'static str,
 }
 
 impl Query {
     /// The query's parameters beside resource and generation.
     pub(crate) fn parameters(&self) -> Vec<(&'static str, String)> {
-        let have = self.have.map(|have| (PARAMETER_HAVE, have.to_string()));
-        [(PARAMETER_DTYPE, self.dtype.to_owned())].into_iter().chain(have).collect()
+        let relative_to = self.relative_to.map(|(name, number)| (name, number.to_string()));
+        [(PARAMETER_DTYPE, self.dtype.to_owned())].into_iter().chain(relative_to).collect()
     }
 }
 
@@ -121,16 +122,18 @@ pub trait Arrays: Sync {
         }
     }
 
-    /// The matrix from the coordinates of generation `have` to those of `generation`.
+    /// The matrix from the coordinates of generation `from` to those of `generation`.
     fn transfer<T: Scalar>(
         &self,
         generation: Generation,
-        have: u64,
+        from: u64,
     ) -> impl Future<Output = Result<Transfer<T>>> + Send {
         async move {
-            let bytes = self.frame(query::<T>(Resource::Transfer, generation, Some(have))).await?;
+            let bytes = self
+                .frame(query::<T>(Resource::Transfer, generation, Some((PARAMETER_FROM, from))))
+                .await?;
             let matrix = take(&mut Frame::decode(&bytes)?, TRANSFER, [None, None])?;
-            Ok(Transfer { have, matrix })
+            Ok(Transfer { from, matrix })
         }
     }
 
@@ -141,7 +144,9 @@ pub trait Arrays: Sync {
         have: u64,
     ) -> impl Future<Output = Result<Delta<T>>> + Send {
         async move {
-            let bytes = self.frame(query::<T>(Resource::Delta, generation, Some(have))).await?;
+            let bytes = self
+                .frame(query::<T>(Resource::Delta, generation, Some((PARAMETER_HAVE, have))))
+                .await?;
             let mut frame = Frame::decode(&bytes)?;
             let columns = take_or_empty(&mut frame, DELTA_COLUMNS, [None, None, Some(3)])?;
             let w = take(&mut frame, DELTA_W, [None, None])?;
@@ -161,8 +166,12 @@ pub trait Arrays: Sync {
     }
 }
 
-fn query<T: Scalar>(resource: Resource, generation: Generation, have: Option<u64>) -> Query {
-    Query { resource, generation, have, dtype: T::NAME }
+fn query<T: Scalar>(
+    resource: Resource,
+    generation: Generation,
+    relative_to: Option<(&'static str, u64)>,
+) -> Query {
+    Query { resource, generation, relative_to, dtype: T::NAME }
 }
 
 /// An array of one generation, row-major.
@@ -292,8 +301,8 @@ fn add_scaled<T: Scalar>(sum: &mut [T], factor: T, values: &[T]) {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Transfer<T = f32> {
     /// The generation it starts from.
-    pub have: u64,
-    /// (r, r of `have`).
+    pub from: u64,
+    /// (r, r of `from`).
     pub matrix: Array<T>,
 }
 
