@@ -1,0 +1,182 @@
+//! What the daemon says unasked (states, generations) and the forces it hears.
+
+use super::query::{Form, json};
+use crate::command;
+use crate::conversion::{event, simulation};
+use crate::gateway::Gateway;
+use crate::metrics;
+use crate::problem::{Kind, Problem};
+use std::collections::HashMap;
+use std::sync::Arc;
+use sutura_proto::keys::{self, Resource};
+use sutura_proto::media;
+use sutura_store::{EventKind, Frame, GenerationRef, SessionId};
+use tokio::sync::broadcast::{self, error::RecvError};
+use tokio::task::{AbortHandle, JoinSet};
+use zenoh::handlers::{RingChannel, RingChannelHandler};
+use zenoh::pubsub::Subscriber;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::sample::Sample;
+use zenoh::{Session, Wait};
+
+/// Force messages that may wait; beyond, the oldest are lost.
+const MAX_WAITING_FORCES: usize = 256;
+
+/// Publishes the states of every simulation and every new generation, until the store ends.
+pub(super) async fn publish(gateway: Gateway, zenoh_session: Session) {
+    let mut events = gateway.store().subscribe_all();
+    let mut states = States::default();
+    states.follow_all(&gateway, &zenoh_session);
+    loop {
+        match events.recv().await {
+            Ok(event) => match event.kind {
+                EventKind::Created => states.follow(&gateway, &zenoh_session, event.session),
+                EventKind::Generation(number) => {
+                    publish_generation(&gateway, &zenoh_session, event.session, number).await;
+                }
+                EventKind::Deleted => states.forget(event.session),
+                _ => {}
+            },
+            Err(RecvError::Lagged(count)) => {
+                tracing::warn!(count, "events went by too fast to be published");
+                states.follow_all(&gateway, &zenoh_session);
+            }
+            Err(RecvError::Closed) => return,
+        }
+    }
+}
+
+/// One task for each session, which publishes its states. All end with this value.
+#[derive(Default)]
+struct States {
+    tasks: JoinSet<()>,
+    followed: HashMap<SessionId, AbortHandle>,
+}
+
+impl States {
+    /// Follows every session there is.
+    fn follow_all(&mut self, gateway: &Gateway, zenoh_session: &Session) {
+        let limit = gateway.store().config().limits.max_sessions;
+        for session in gateway.store().list(None, limit) {
+            self.follow(gateway, zenoh_session, session.id);
+        }
+    }
+
+    fn follow(&mut self, gateway: &Gateway, zenoh_session: &Session, id: SessionId) {
+        // Those that ended by themselves make room.
+        while self.tasks.try_join_next().is_some() {}
+        self.followed.retain(|_, task| !task.is_finished());
+        if self.followed.contains_key(&id) {
+            return;
+        }
+        if let Ok(frames) = gateway.store().subscribe_frames(id) {
+            let task = self.tasks.spawn(publish_states(zenoh_session.clone(), id, frames));
+            self.followed.insert(id, task);
+        }
+    }
+
+    fn forget(&mut self, id: SessionId) {
+        if let Some(task) = self.followed.remove(&id) {
+            task.abort();
+        }
+    }
+}
+
+/// Publishes the states of one session until it ends. Sending never waits for a slow reader: a
+/// state that does not fit into its link's queue is dropped there.
+async fn publish_states(
+    zenoh_session: Session,
+    id: SessionId,
+    mut frames: broadcast::Receiver<Arc<Frame>>,
+) {
+    let Some(key) = keys::session(&id.to_string(), Resource::State) else { return };
+    let declared = zenoh_session
+        .declare_publisher(key)
+        .congestion_control(CongestionControl::Drop)
+        .priority(Priority::RealTime)
+        .express(true)
+        .encoding(media::STATE)
+        .await;
+    let publisher = match declared {
+        Ok(publisher) => publisher,
+        Err(error) => return tracing::error!(%error, "a publication could not be declared"),
+    };
+    loop {
+        let frame = match frames.recv().await {
+            Ok(frame) => frame,
+            Err(RecvError::Lagged(count)) => {
+                metrics::frames_dropped("zenoh", count);
+                continue;
+            }
+            Err(RecvError::Closed) => return,
+        };
+        let sent = simulation::state(&frame).and_then(|bytes| {
+            publisher
+                .put(bytes)
+                .wait()
+                .map_err(|error| Problem::new(Kind::Internal, error.to_string()))
+        });
+        match sent {
+            Ok(()) => metrics::frame_sent("zenoh"),
+            Err(problem) => tracing::error!(problem.detail, "a state could not be published"),
+        }
+    }
+}
+
+/// Publishes a new generation. This may wait on a congested link, hence the blocking thread.
+async fn publish_generation(
+    gateway: &Gateway,
+    zenoh_session: &Session,
+    id: SessionId,
+    number: u64,
+) {
+    // It may have been overtaken by many others and be gone.
+    let Ok(generation) = gateway.store().generation(id, GenerationRef::Number(number)) else {
+        return;
+    };
+    let key = keys::session(&id.to_string(), Resource::Generation);
+    let (Some(key), Ok(payload)) = (key, json(&event::generation_info(&generation))) else {
+        return tracing::error!(%id, number, "a generation could not be announced");
+    };
+    let zenoh_session = zenoh_session.clone();
+    let put = move || {
+        zenoh_session
+            .put(key, payload)
+            .congestion_control(CongestionControl::Block)
+            .encoding(media::JSON)
+            .wait()
+    };
+    if let Ok(Err(error)) = tokio::task::spawn_blocking(put).await {
+        tracing::error!(%error, "a generation could not be announced");
+    }
+}
+
+/// Hears forces for every session until the subscriber is undeclared. Nobody waits for an answer:
+/// what cannot be used is logged.
+pub(super) async fn hear_forces(gateway: Gateway, subscriber: ForceSubscriber) {
+    while let Ok(sample) = subscriber.recv_async().await {
+        if let Err(problem) = push_forces(&gateway, &sample) {
+            tracing::warn!(key = %sample.key_expr(), problem.detail, "forces were refused");
+        }
+    }
+}
+
+/// Hears force messages; a slow reader loses the oldest.
+pub(super) type ForceSubscriber = Subscriber<RingChannelHandler<Sample>>;
+
+/// Subscribes to the forces for every session.
+pub(super) async fn subscribe_forces(zenoh_session: &Session) -> zenoh::Result<ForceSubscriber> {
+    zenoh_session
+        .declare_subscriber(keys::every_session(Resource::Forces))
+        .with(RingChannel::new(MAX_WAITING_FORCES))
+        .await
+}
+
+/// Hands the forces of one message to their session.
+fn push_forces(gateway: &Gateway, sample: &Sample) -> Result<(), Problem> {
+    let (id, _) = keys::parse_session(sample.key_expr())
+        .ok_or_else(|| Problem::new(Kind::MalformedParameter, "forces are for one session"))?;
+    let form = Form::of(Some(sample.encoding()))?;
+    let request = form.parse(gateway, Some(sample.payload()))?;
+    command::push_forces(gateway, command::session_id(id)?, request)
+}

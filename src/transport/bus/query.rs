@@ -1,0 +1,234 @@
+//! Queries: parse, command, reply.
+
+use crate::command::{self, ArrayParams, ArrayRequest};
+use crate::conversion::array::ArrayKind;
+use crate::conversion::document::{parse_bincode, parse_json};
+use crate::conversion::session;
+use crate::gateway::{Gateway, shed};
+use crate::metrics;
+use crate::problem::{Kind, Problem};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::sync::Arc;
+use std::time::Instant;
+use sutura_proto::keys::{self, Resource};
+use sutura_proto::{bus, media};
+use sutura_store::{GenerationRef, SessionId};
+use tokio::runtime::Handle;
+use tokio::sync::Semaphore;
+use zenoh::bytes::{Encoding, ZBytes};
+use zenoh::query::{Query, Queryable};
+use zenoh::{Session, Wait};
+
+/// The resources that can be asked for.
+const RESOURCES: [Resource; 8] = [
+    Resource::Edits,
+    Resource::Info,
+    Resource::Modes,
+    Resource::Basis,
+    Resource::Transfer,
+    Resource::Delta,
+    Resource::Evaluator,
+    Resource::Mass,
+];
+
+/// Declares one queryable for each resource, for all sessions at once. Not `complete`: another
+/// daemon on the same network may hold the session that is asked for.
+pub(super) async fn declare(
+    gateway: &Gateway,
+    zenoh_session: &Session,
+) -> zenoh::Result<Vec<Queryable<()>>> {
+    let runtime = Handle::current();
+    let places = Arc::new(Semaphore::new(gateway.limits().max_queries));
+    let refusals = Arc::new(Semaphore::new(gateway.limits().max_queries));
+    let mut queryables = Vec::new();
+    for resource in RESOURCES {
+        let (gateway, runtime) = (gateway.clone(), runtime.clone());
+        let (places, refusals) = (Arc::clone(&places), Arc::clone(&refusals));
+        let hand_over = move |query: Query| {
+            let gateway = gateway.clone();
+            if let Ok(place) = Arc::clone(&places).try_acquire_owned() {
+                runtime.spawn(async move {
+                    serve(&gateway, resource, query).await;
+                    drop(place);
+                });
+            } else if let Ok(place) = Arc::clone(&refusals).try_acquire_owned() {
+                runtime.spawn(async move {
+                    reply(query, Err(shed("queries"))).await;
+                    drop(place);
+                });
+            }
+            // Beyond both, the query is dropped: its sender hears that there was no reply.
+        };
+        let key = keys::every_session(resource);
+        queryables.push(zenoh_session.declare_queryable(key).callback(hand_over).await?);
+    }
+    Ok(queryables)
+}
+
+/// What goes back under one key.
+struct Answer {
+    key: String,
+    encoding: &'static str,
+    payload: Vec<u8>,
+}
+
+async fn serve(gateway: &Gateway, resource: Resource, query: Query) {
+    let begun = Instant::now();
+    let answers = answer(gateway, resource, &query).await;
+    let status = answers.as_ref().map_or_else(Problem::status, |_| 200);
+    reply(query, answers).await;
+    metrics::bus_query(resource.name(), status, begun.elapsed());
+}
+
+async fn answer(
+    gateway: &Gateway,
+    resource: Resource,
+    query: &Query,
+) -> Result<Vec<Answer>, Problem> {
+    let Some((id, _)) = keys::parse_session(query.key_expr()) else {
+        return match resource {
+            Resource::Info => infos(gateway, query),
+            _ => Err(Problem::new(Kind::MalformedParameter, "ask for one session")),
+        };
+    };
+    let id = command::session_id(id)?;
+    let key = query.key_expr().to_string();
+    let (encoding, payload) = match resource {
+        Resource::Edits => edit(gateway, id, query).await?,
+        Resource::Info => (media::JSON, json(&command::info(gateway, id)?)?),
+        Resource::Modes => array(gateway, id, ArrayKind::Modes, query).await?,
+        Resource::Basis => array(gateway, id, ArrayKind::Basis, query).await?,
+        Resource::Transfer => array(gateway, id, ArrayKind::Transfer, query).await?,
+        Resource::Delta => array(gateway, id, ArrayKind::Delta, query).await?,
+        Resource::Evaluator => array(gateway, id, ArrayKind::Evaluator, query).await?,
+        Resource::Mass => array(gateway, id, ArrayKind::Mass, query).await?,
+        Resource::State | Resource::Generation | Resource::Forces => {
+            return Err(Problem::new(Kind::NoRoute, "this key is no queryable"));
+        }
+    };
+    Ok(vec![Answer { key, encoding, payload }])
+}
+
+/// `info` of every session that the query's key expression matches: how clients find sessions.
+fn infos(gateway: &Gateway, query: &Query) -> Result<Vec<Answer>, Problem> {
+    let sessions = gateway.store().list(None, gateway.store().config().limits.max_sessions);
+    let mut answers = Vec::new();
+    for session in &sessions {
+        let key = keys::session(&session.id.to_string(), Resource::Info).unwrap_or_default();
+        let asked =
+            zenoh::key_expr::keyexpr::new(&key).is_ok_and(|key| query.key_expr().intersects(key));
+        if asked {
+            let payload = json(&session::info(session))?;
+            answers.push(Answer { key, encoding: media::JSON, payload });
+        }
+    }
+    Ok(answers)
+}
+
+async fn edit(
+    gateway: &Gateway,
+    id: SessionId,
+    query: &Query,
+) -> Result<(&'static str, Vec<u8>), Problem> {
+    let form = Form::of(query.encoding())?;
+    let request = form.parse(gateway, query.payload())?;
+    let reply = command::edit(gateway, id, request).await?;
+    Ok((form.media(), form.write(&reply)?))
+}
+
+async fn array(
+    gateway: &Gateway,
+    id: SessionId,
+    kind: ArrayKind,
+    query: &Query,
+) -> Result<(&'static str, Vec<u8>), Problem> {
+    let parameters = query.parameters();
+    let generation = match parameters.get("generation") {
+        Some(text) => command::generation_ref(text)?,
+        None => GenerationRef::Current,
+    };
+    let others = parameters.iter().filter(|(name, _)| !matches!(*name, "generation" | ""));
+    let params = ArrayParams::parse(others)?;
+    let request = ArrayRequest { kind, generation, params, media: media::FRAME };
+    Ok((media::FRAME, command::array(gateway, id, request).await?))
+}
+
+/// Sends what there is to say. May wait on a congested link, hence the blocking thread.
+async fn reply(query: Query, answers: Result<Vec<Answer>, Problem>) {
+    let send = move || match answers {
+        Ok(answers) => answers.into_iter().try_for_each(|answer| {
+            query.reply(answer.key, answer.payload).encoding(answer.encoding).wait()
+        }),
+        Err(problem) => query.reply_err(problem.to_json()).encoding(media::PROBLEM_JSON).wait(),
+    };
+    match tokio::task::spawn_blocking(send).await {
+        Ok(Ok(())) => {}
+        Ok(Err(error)) => tracing::debug!(%error, "a reply could not be sent"),
+        Err(error) => tracing::error!(%error, "sending a reply failed"),
+    }
+}
+
+/// How control documents are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Form {
+    Json,
+    Bincode,
+}
+
+impl Form {
+    /// The form that an encoding names; JSON if it names none.
+    pub(super) fn of(encoding: Option<&Encoding>) -> Result<Form, Problem> {
+        let Some(encoding) = encoding.filter(|&encoding| *encoding != Encoding::default()) else {
+            return Ok(Form::Json);
+        };
+        match encoding.to_string().as_str() {
+            media::JSON | "text/json" => Ok(Form::Json),
+            media::BINCODE => Ok(Form::Bincode),
+            _ => {
+                let detail = format!("documents are {} or {}", media::JSON, media::BINCODE);
+                Err(Problem::new(Kind::UnsupportedMediaType, detail))
+            }
+        }
+    }
+
+    fn media(self) -> &'static str {
+        match self {
+            Form::Json => media::JSON,
+            Form::Bincode => media::BINCODE,
+        }
+    }
+
+    /// Reads a payload within the limit for documents.
+    pub(super) fn parse<T: DeserializeOwned>(
+        self,
+        gateway: &Gateway,
+        payload: Option<&ZBytes>,
+    ) -> Result<T, Problem> {
+        let Some(payload) = payload else {
+            return Err(Problem::new(Kind::MalformedDocument, "the query carries no document"));
+        };
+        let limit = gateway.limits().max_document_bytes;
+        if payload.len() > limit {
+            let detail = format!("the document has {} bytes, at most {limit}", payload.len());
+            return Err(Problem::new(Kind::TooLarge, detail));
+        }
+        match self {
+            Form::Json => parse_json(&payload.to_bytes()),
+            Form::Bincode => parse_bincode(&payload.to_bytes()),
+        }
+    }
+
+    fn write(self, document: &impl Serialize) -> Result<Vec<u8>, Problem> {
+        match self {
+            Form::Json => json(document),
+            Form::Bincode => bus::encode(document)
+                .map_err(|error| Problem::new(Kind::Internal, error.to_string())),
+        }
+    }
+}
+
+/// A document as JSON bytes.
+pub(super) fn json(document: &impl Serialize) -> Result<Vec<u8>, Problem> {
+    serde_json::to_vec(document).map_err(|error| Problem::new(Kind::Internal, error.to_string()))
+}

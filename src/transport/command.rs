@@ -1,0 +1,201 @@
+//! The commands that both transports offer: wire request in, wire reply or problem out.
+
+use crate::conversion::array::{self, ArrayKind, Reference};
+use crate::conversion::{edit, session, simulation};
+use crate::gateway::Gateway;
+use crate::problem::{Kind, Problem};
+use std::sync::Arc;
+use std::time::Instant;
+use sutura_core::mesh::MeshLimits;
+use sutura_proto::array::DType;
+use sutura_proto::edit::{EditReply, EditRequest};
+use sutura_proto::session::SessionInfo;
+use sutura_proto::simulation::ForceRequest;
+use sutura_store::{Generation, GenerationRef, SessionId};
+
+/// The session that `text` names.
+pub(crate) fn session_id(text: &str) -> Result<SessionId, Problem> {
+    text.parse().map_err(|_| {
+        let shown: String = text.chars().take(64).collect();
+        Problem::new(Kind::NoSession, format!("there is no session {shown:?}"))
+    })
+}
+
+/// The generation that `text` names: a number, or `current`.
+pub(crate) fn generation_ref(text: &str) -> Result<GenerationRef, Problem> {
+    match text {
+        "current" => Ok(GenerationRef::Current),
+        number => number.parse().map(GenerationRef::Number).map_err(|_| {
+            Problem::new(
+                Kind::MalformedParameter,
+                "a generation is named by its number, or \"current\"",
+            )
+        }),
+    }
+}
+
+/// What is known of a session now.
+pub(crate) fn info(gateway: &Gateway, id: SessionId) -> Result<SessionInfo, Problem> {
+    Ok(session::info(&gateway.store().info(id)?))
+}
+
+/// Opens a session from what a client uploaded.
+pub(crate) async fn create(
+    gateway: &Gateway,
+    upload: session::Upload,
+) -> Result<SessionId, Problem> {
+    let limits = &gateway.store().config().limits;
+    let limits = MeshLimits { max_vertices: limits.max_vertices, max_tets: limits.max_tets };
+    let request = gateway
+        .store()
+        .compute("reading a mesh", move |_| session::create(upload, &limits))
+        .await??;
+    Ok(gateway.store().create(request)?)
+}
+
+/// Makes the next generation. Dropping the future cancels the edit.
+pub(crate) async fn edit(
+    gateway: &Gateway,
+    id: SessionId,
+    request: EditRequest,
+) -> Result<EditReply, Problem> {
+    let begun = Instant::now();
+    let request = edit::request(request)?;
+    let method = request.method;
+    let generation = gateway.store().edit(id, request).await?;
+    Ok(edit::reply(&generation, method, begun.elapsed()))
+}
+
+/// Lets forces act on a running simulation.
+pub(crate) fn push_forces(
+    gateway: &Gateway,
+    id: SessionId,
+    request: ForceRequest,
+) -> Result<(), Problem> {
+    Ok(gateway.store().push_forces(id, simulation::forces(request)?)?)
+}
+
+/// Which array of which generation, and how it is to travel.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ArrayRequest {
+    pub(crate) kind: ArrayKind,
+    pub(crate) generation: GenerationRef,
+    pub(crate) params: ArrayParams,
+    pub(crate) media: &'static str,
+}
+
+/// An array of a generation as bytes.
+pub(crate) async fn array(
+    gateway: &Gateway,
+    id: SessionId,
+    request: ArrayRequest,
+) -> Result<Vec<u8>, Problem> {
+    let ArrayRequest { kind, params, media, .. } = request;
+    let generation = gateway.store().generation(id, request.generation)?;
+    let reference = reference(gateway, id, kind, &generation, params)?;
+    let job = move |control: &dyn sutura_core::control::Control| {
+        array::encode(kind, &generation, reference.as_deref(), params.dtype, media, control)
+    };
+    gateway.store().compute("assembling an array", job).await?
+}
+
+/// The second generation that the array relates to, if it relates to one.
+fn reference(
+    gateway: &Gateway,
+    id: SessionId,
+    kind: ArrayKind,
+    generation: &Generation,
+    params: ArrayParams,
+) -> Result<Option<Arc<Generation>>, Problem> {
+    let misplaced = |name| {
+        let detail = format!("?{name}= does not belong to this array");
+        Err(Problem::new(Kind::MalformedParameter, detail))
+    };
+    let number = match (kind.reference(), params.from, params.have) {
+        (Reference::PreviousUnlessGiven, from, None) => match from {
+            Some(number) => number,
+            None => generation.number.checked_sub(1).ok_or_else(|| {
+                let detail = "generation 0 has no previous one: name another with ?from=";
+                Problem::new(Kind::NoGeneration, detail)
+            })?,
+        },
+        (Reference::Required, None, Some(number)) => number,
+        (Reference::Required, None, None) => {
+            let detail = "say which generation the client holds with ?have=";
+            return Err(Problem::new(Kind::MalformedParameter, detail));
+        }
+        (Reference::None, None, None) => return Ok(None),
+        (_, Some(_), _) => return misplaced("from"),
+        (_, None, Some(_)) => return misplaced("have"),
+    };
+    Ok(Some(gateway.store().generation(id, GenerationRef::Number(number))?))
+}
+
+/// Parameters of an array request, from an HTTP query or a Zenoh selector.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct ArrayParams {
+    /// Element type of floating-point arrays.
+    pub(crate) dtype: DType,
+    /// `transfer`: the generation whose coordinates it takes.
+    pub(crate) from: Option<u64>,
+    /// `delta`: the generation that the client holds.
+    pub(crate) have: Option<u64>,
+}
+
+impl ArrayParams {
+    /// Reads every pair; refuses names and values it does not know.
+    pub(crate) fn parse<'a>(
+        pairs: impl IntoIterator<Item = (&'a str, &'a str)>,
+    ) -> Result<ArrayParams, Problem> {
+        let malformed = |detail: String| Problem::new(Kind::MalformedParameter, detail);
+        let number = |name: &str, text: &str| {
+            text.parse().map(Some).map_err(|_| malformed(format!("{name} must be a number")))
+        };
+        let mut params = ArrayParams { dtype: DType::F32, from: None, have: None };
+        for (name, value) in pairs {
+            match (name, value) {
+                ("dtype", "f32") => params.dtype = DType::F32,
+                ("dtype", "f64") => params.dtype = DType::F64,
+                ("dtype", _) => return Err(malformed("dtype must be f32 or f64".to_owned())),
+                ("from", text) => params.from = number("from", text)?,
+                ("have", text) => params.have = number("have", text)?,
+                _ => {
+                    let shown: String = name.chars().take(64).collect();
+                    return Err(malformed(format!("there is no parameter {shown:?}")));
+                }
+            }
+        }
+        Ok(params)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn array_parameters_are_read_strictly() {
+        let params = ArrayParams::parse([("dtype", "f64"), ("from", "3")]).unwrap();
+        assert_eq!(params, ArrayParams { dtype: DType::F64, from: Some(3), have: None });
+        assert_eq!(ArrayParams::parse([]).unwrap().dtype, DType::F32);
+        for pair in [("dtype", "u32"), ("from", "-1"), ("have", ""), ("dtyp", "f64")] {
+            assert_eq!(ArrayParams::parse([pair]).unwrap_err().status(), 400, "{pair:?}");
+        }
+    }
+
+    #[test]
+    fn generations_are_numbers_or_current() {
+        assert_eq!(generation_ref("current").unwrap(), GenerationRef::Current);
+        assert_eq!(generation_ref("12").unwrap(), GenerationRef::Number(12));
+        for text in ["", "latest", "-1", "1.0", "99999999999999999999999"] {
+            assert_eq!(generation_ref(text).unwrap_err().status(), 400, "{text}");
+        }
+    }
+
+    #[test]
+    fn what_names_no_session_is_not_found_and_quoted_briefly() {
+        let problem = session_id(&"x".repeat(10_000)).unwrap_err();
+        assert_eq!(problem.status(), 404);
+        assert!(problem.detail.len() < 100);
+    }
+}

@@ -1,0 +1,200 @@
+//! The arrays of a generation as bytes. Everything here takes as long as the arrays are large: for
+//! the query pool.
+
+use crate::problem::{Kind, Problem};
+use sutura_core::build::Artifacts;
+use sutura_core::control::{self, Control};
+use sutura_proto::array::{Array, DType};
+use sutura_proto::frame::Frame;
+use sutura_proto::{media, npy};
+use sutura_store::{Generation, StoreError};
+
+/// What can be fetched of a generation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum ArrayKind {
+    Modes,
+    Basis,
+    Transfer,
+    Delta,
+    Evaluator,
+    Mass,
+}
+
+impl ArrayKind {
+    /// Media types it can travel as, the preferred one first.
+    pub(crate) fn offered(self) -> &'static [&'static str] {
+        match self {
+            ArrayKind::Delta | ArrayKind::Evaluator => &[media::FRAME],
+            _ => &[media::NPY, media::FRAME],
+        }
+    }
+
+    /// How it relates to another generation.
+    pub(crate) fn reference(self) -> Reference {
+        match self {
+            ArrayKind::Transfer => Reference::PreviousUnlessGiven,
+            ArrayKind::Delta => Reference::Required,
+            _ => Reference::None,
+        }
+    }
+}
+
+/// Whether an array depends on a second generation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Reference {
+    None,
+    PreviousUnlessGiven,
+    Required,
+}
+
+/// `kind` of `generation` (relative to `reference`, where it depends on one) as `media` type bytes.
+pub(crate) fn encode(
+    kind: ArrayKind,
+    generation: &Generation,
+    reference: Option<&Generation>,
+    dtype: DType,
+    media: &str,
+    control: &dyn Control,
+) -> Result<Vec<u8>, Problem> {
+    let arrays = assemble(kind, &generation.artifacts, reference, dtype, control)?;
+    let encoded = match (media, &arrays[..]) {
+        (media::NPY, [array]) => npy::encode(array).map_err(|error| error.to_string()),
+        _ => Frame { generation: generation.number, arrays }
+            .encode()
+            .map_err(|error| error.to_string()),
+    };
+    encoded.map_err(|error| Problem::new(Kind::Internal, error))
+}
+
+fn assemble(
+    kind: ArrayKind,
+    artifacts: &Artifacts,
+    reference: Option<&Generation>,
+    dtype: DType,
+    control: &dyn Control,
+) -> Result<Vec<Array<'static>>, Problem> {
+    let n_vertices = artifacts.mesh().vertices().len();
+    let r = artifacts.basis_size();
+    let old = || {
+        reference
+            .map(|generation| &*generation.artifacts)
+            .ok_or_else(|| Problem::new(Kind::Internal, "no generation to relate to"))
+    };
+    let array = |name, shape: &[usize], values: &[f64]| {
+        let mut elements = Elements::with_capacity(dtype, values.len());
+        elements.extend(name, values)?;
+        Ok::<_, Problem>(elements.into_array(name, shape))
+    };
+    let columns = |name, n, column: &dyn Fn(usize) -> Vec<f64>| {
+        let mut elements = Elements::with_capacity(dtype, n * 3 * n_vertices);
+        for i in 0..n {
+            control::check(control).map_err(|_| StoreError::Cancelled)?;
+            elements.extend(name, &column(i))?;
+        }
+        Ok::<_, Problem>(elements.into_array(name, &[n, n_vertices, 3]))
+    };
+    Ok(match kind {
+        ArrayKind::Modes => vec![columns("modes", artifacts.n_modes(), &|i| artifacts.mode(i))?],
+        ArrayKind::Basis => vec![columns("basis", r, &|i| artifacts.basis_column(i))?],
+        ArrayKind::Mass => vec![array("mass", &[n_vertices], &artifacts.lumped_mass_kg())?],
+        ArrayKind::Transfer => {
+            let old = old()?;
+            let transfer = artifacts.transfer_from(old);
+            vec![array("transfer", &[r, old.basis_size()], &transfer)?]
+        }
+        ArrayKind::Delta => {
+            let old = old()?;
+            let delta = artifacts.delta_from(old);
+            let n = delta.columns.len();
+            vec![
+                columns("columns", n, &|i| delta.columns[i].clone())?,
+                array("w", &[old.basis_size() + n, r], &delta.w)?,
+            ]
+        }
+        ArrayKind::Evaluator => {
+            let tables = artifacts.evaluator_tables();
+            let p = tables.tets.len();
+            vec![
+                Array::u32("tets", [p], tables.tets),
+                array("weights", &[p], &tables.weights)?,
+                array("volumes_m3", &[p], &tables.volumes_m3)?,
+                array("lame_pa", &[p, 2], &tables.lame_pa)?,
+                array("shape_gradients", &[p, 4, 3], &tables.shape_gradients)?,
+                array("basis_rows", &[p, 4, 3, tables.r], &tables.basis_rows)?,
+                array("stitch_stiffness", &[tables.r, tables.r], &tables.stitch_stiffness)?,
+            ]
+        }
+    })
+}
+
+/// Elements of an array in the type that the client asked for.
+enum Elements {
+    F32(Vec<f32>),
+    F64(Vec<f64>),
+}
+
+impl Elements {
+    fn with_capacity(dtype: DType, n: usize) -> Elements {
+        match dtype {
+            DType::F64 => Elements::F64(Vec::with_capacity(n)),
+            DType::F32 | DType::U32 => Elements::F32(Vec::with_capacity(n)),
+        }
+    }
+
+    /// Appends `values`; refuses to let an overflow or a NaN out.
+    fn extend(&mut self, name: &str, values: &[f64]) -> Result<(), Problem> {
+        let finite = match self {
+            Elements::F32(elements) => {
+                elements.extend(values.iter().map(|&x| x as f32));
+                elements[elements.len() - values.len()..].iter().all(|x| x.is_finite())
+            }
+            Elements::F64(elements) => {
+                elements.extend_from_slice(values);
+                values.iter().all(|x| x.is_finite())
+            }
+        };
+        match (finite, values.iter().all(|x| x.is_finite())) {
+            (true, _) => Ok(()),
+            (false, true) => {
+                let detail = format!("{name} holds numbers beyond f32: ask for dtype=f64");
+                Err(Problem::new(Kind::ImpossibleValue, detail))
+            }
+            (false, false) => {
+                let detail = format!("{name} holds a number that is not finite");
+                Err(Problem::new(Kind::Internal, detail))
+            }
+        }
+    }
+
+    fn into_array(self, name: &'static str, shape: &[usize]) -> Array<'static> {
+        match self {
+            Elements::F32(elements) => Array::f32(name, shape, elements),
+            Elements::F64(elements) => Array::f64(name, shape, elements),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn single_arrays_travel_both_ways_and_tables_as_frames() {
+        for kind in [ArrayKind::Modes, ArrayKind::Basis, ArrayKind::Transfer, ArrayKind::Mass] {
+            assert_eq!(kind.offered(), [media::NPY, media::FRAME]);
+        }
+        for kind in [ArrayKind::Delta, ArrayKind::Evaluator] {
+            assert_eq!(kind.offered(), [media::FRAME]);
+        }
+    }
+
+    #[test]
+    fn numbers_that_do_not_fit_are_refused_rather_than_sent() {
+        let mut elements = Elements::with_capacity(DType::F32, 2);
+        elements.extend("x", &[1.0, 2.0]).unwrap();
+        assert_eq!(elements.extend("x", &[1e39]).unwrap_err().status(), 422);
+        let mut elements = Elements::with_capacity(DType::F64, 2);
+        elements.extend("x", &[1e39]).unwrap();
+        assert_eq!(elements.extend("x", &[f64::NAN]).unwrap_err().status(), 500);
+    }
+}

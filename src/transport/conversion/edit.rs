@@ -1,0 +1,194 @@
+//! Edit requests and replies.
+
+use crate::problem::{Kind, Problem};
+use std::collections::BTreeMap;
+use std::time::Duration;
+use sutura_core::build::{CubatureReport, CubatureSource, Method};
+use sutura_core::control::Stage;
+use sutura_core::edit::Edit;
+use sutura_proto::edit as wire;
+use sutura_store::{EditRequest, Generation};
+
+/// The request as the store takes it, once it could concern some body.
+pub(crate) fn request(request: wire::EditRequest) -> Result<EditRequest, Problem> {
+    request.validate()?;
+    let edits = request.edits.into_iter().enumerate().map(edit).collect::<Result<_, _>>()?;
+    Ok(EditRequest {
+        base_generation: request.base_generation,
+        method: method(request.method),
+        tolerance: request.tolerance,
+        edits,
+    })
+}
+
+fn edit((position, edit): (usize, wire::Edit)) -> Result<Edit, Problem> {
+    match edit {
+        wire::Edit::Stitch { pairs, stiffness_n_m } => Ok(Edit::Stitch { pairs, stiffness_n_m }),
+        wire::Edit::Unstitch { stitch_ids } => Ok(Edit::Unstitch { stitch_ids }),
+        wire::Edit::ScaleStiffness { .. } => Err(Problem::new(
+            Kind::NotSupported,
+            "scaling the stiffness of a domain is not supported by this version",
+        )
+        .at(format!("/edits/{position}/scale_stiffness"))),
+    }
+}
+
+fn method(method: wire::EditMethod) -> Method {
+    match method {
+        wire::EditMethod::Flexibility => Method::Flexibility,
+        wire::EditMethod::LowRank => Method::LowRank,
+        wire::EditMethod::FromScratch => Method::FromScratch,
+    }
+}
+
+fn wire_method(method: Method) -> wire::EditMethod {
+    match method {
+        Method::Flexibility => wire::EditMethod::Flexibility,
+        Method::LowRank => wire::EditMethod::LowRank,
+        Method::FromScratch => wire::EditMethod::FromScratch,
+    }
+}
+
+/// The method's name in documents and metrics.
+pub(crate) fn method_name(method: Method) -> &'static str {
+    match method {
+        Method::Flexibility => "flexibility",
+        Method::LowRank => "low_rank",
+        Method::FromScratch => "from_scratch",
+    }
+}
+
+/// What an edit made, `total` after the command began.
+pub(crate) fn reply(generation: &Generation, method: Method, total: Duration) -> wire::EditReply {
+    let artifacts = &generation.artifacts;
+    wire::EditReply {
+        generation: generation.number,
+        method: wire_method(generation.made_by.unwrap_or(method)),
+        stitch_ids: generation.stitch_ids.clone(),
+        n_stitches: artifacts.stitches().len(),
+        n_rigid_modes: artifacts.n_rigid_modes(),
+        eigenvalues_per_s2: artifacts.eigenvalues_per_s2().to_vec(),
+        frequencies_hz: artifacts.frequencies_hz(),
+        residuals: artifacts.residuals().to_vec(),
+        basis_size: artifacts.basis_size(),
+        cubature: artifacts.cubature().map(cubature),
+        timings_ms: timings(artifacts.timings(), total),
+        warnings: artifacts.warnings().to_vec(),
+    }
+}
+
+fn cubature(report: &CubatureReport) -> wire::CubatureInfo {
+    wire::CubatureInfo {
+        n_points: report.n_points,
+        source: match report.source {
+            CubatureSource::Trained => wire::CubatureSource::Retrained,
+            CubatureSource::Reused => wire::CubatureSource::Reused,
+            CubatureSource::Refitted => wire::CubatureSource::Refitted,
+        },
+        validation_error: report.validation_error,
+    }
+}
+
+fn timings(stages: &[(Stage, Duration)], total: Duration) -> wire::EditTimings {
+    let mut timings = wire::EditTimings {
+        total: milliseconds(total),
+        stages: stage_milliseconds(stages),
+        ..Default::default()
+    };
+    for (stage, took) in stages {
+        let group = match stage {
+            Stage::Assembly | Stage::Factorization | Stage::Modes | Stage::Seams => {
+                &mut timings.linear
+            }
+            Stage::Derivatives => &mut timings.derivatives,
+            Stage::Basis | Stage::Reduction => &mut timings.reduction,
+            Stage::Cubature => &mut timings.cubature,
+        };
+        *group += milliseconds(*took);
+    }
+    timings
+}
+
+/// Time spent in each stage, by its name, in ms.
+pub(crate) fn stage_milliseconds(stages: &[(Stage, Duration)]) -> BTreeMap<String, f64> {
+    let mut by_name = BTreeMap::new();
+    for (stage, took) in stages {
+        *by_name.entry(stage.name().to_owned()).or_default() += milliseconds(*took);
+    }
+    by_name
+}
+
+fn milliseconds(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_edit_and_method_reaches_the_store() {
+        let mut wire_request = wire::EditRequest::new(vec![
+            wire::Edit::Stitch { pairs: vec![[1, 2], [3, 4]], stiffness_n_m: 10.0 },
+            wire::Edit::Unstitch { stitch_ids: vec![7] },
+        ]);
+        wire_request.base_generation = Some(4);
+        wire_request.method = wire::EditMethod::LowRank;
+        let converted = request(wire_request).unwrap();
+        assert_eq!(
+            converted,
+            EditRequest {
+                base_generation: Some(4),
+                method: Method::LowRank,
+                tolerance: 1e-4,
+                edits: vec![
+                    Edit::Stitch { pairs: vec![[1, 2], [3, 4]], stiffness_n_m: 10.0 },
+                    Edit::Unstitch { stitch_ids: vec![7] },
+                ],
+            }
+        );
+        for wire_method_in in [
+            wire::EditMethod::Flexibility,
+            wire::EditMethod::LowRank,
+            wire::EditMethod::FromScratch,
+        ] {
+            let core = method(wire_method_in);
+            assert_eq!(wire_method(core), wire_method_in);
+            assert_eq!(serde_json::json!(wire_method_in), method_name(core));
+        }
+    }
+
+    #[test]
+    fn scaling_stiffness_is_refused_plainly_and_in_its_place() {
+        let edits = vec![
+            wire::Edit::Unstitch { stitch_ids: vec![7] },
+            wire::Edit::ScaleStiffness { domain: 2, factor: 100.0 },
+        ];
+        let problem = request(wire::EditRequest::new(edits)).unwrap_err();
+        assert_eq!((problem.kind, problem.status()), (Kind::NotSupported, 422));
+        assert_eq!(problem.pointer.as_deref(), Some("/edits/1/scale_stiffness"));
+    }
+
+    #[test]
+    fn what_no_body_accepts_is_refused_before_the_store() {
+        let mut wire_request =
+            wire::EditRequest::new(vec![wire::Edit::Unstitch { stitch_ids: vec![7] }]);
+        wire_request.tolerance = f64::NAN;
+        let problem = request(wire_request).unwrap_err();
+        assert_eq!((problem.status(), problem.pointer.as_deref()), (422, Some("/tolerance")));
+    }
+
+    #[test]
+    fn stages_are_grouped_and_kept_by_name() {
+        let ms = Duration::from_millis;
+        let stages = Stage::ALL.map(|stage| (stage, ms(1)));
+        let timings = timings(&stages, ms(20));
+        assert_eq!(timings.linear, 4.0);
+        assert_eq!(timings.derivatives, 1.0);
+        assert_eq!(timings.reduction, 2.0);
+        assert_eq!(timings.cubature, 1.0);
+        assert_eq!(timings.total, 20.0);
+        assert_eq!(timings.stages.len(), Stage::ALL.len());
+        assert_eq!(timings.stages["modes"], 1.0);
+    }
+}

@@ -1,0 +1,104 @@
+//! What both transports share: the store, the limits, and the signal to wind down.
+
+use crate::limits::Limits;
+use crate::metrics;
+use crate::problem::{Kind, Problem};
+use metrics_exporter_prometheus::PrometheusHandle;
+use std::sync::Arc;
+use sutura_store::Store;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+
+/// The store as both transports see it. Cheap to clone; all clones are the same gateway.
+#[derive(Clone)]
+pub struct Gateway {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    store: Store,
+    limits: Limits,
+    recorder: PrometheusHandle,
+    requests: Arc<Semaphore>,
+    uploads: Arc<Semaphore>,
+    streams: Arc<Semaphore>,
+    winding_down: watch::Sender<bool>,
+}
+
+impl Gateway {
+    /// Opens `store` to clients within `limits`; `recorder` renders `/metrics`.
+    pub fn new(store: Store, limits: Limits, recorder: PrometheusHandle) -> Gateway {
+        let inner = Inner {
+            requests: Arc::new(Semaphore::new(limits.max_requests)),
+            uploads: Arc::new(Semaphore::new(limits.max_uploads)),
+            streams: Arc::new(Semaphore::new(limits.max_streams)),
+            winding_down: watch::Sender::new(false),
+            store,
+            limits,
+            recorder,
+        };
+        Gateway { inner: Arc::new(inner) }
+    }
+
+    /// The store behind both transports.
+    pub fn store(&self) -> &Store {
+        &self.inner.store
+    }
+
+    /// The bounds in force.
+    pub fn limits(&self) -> &Limits {
+        &self.inner.limits
+    }
+
+    pub(crate) fn recorder(&self) -> &PrometheusHandle {
+        &self.inner.recorder
+    }
+
+    /// Says goodbye: `/readyz` turns to 503 and streams end, so that their connections can close.
+    /// Requests under way are still answered.
+    pub fn wind_down(&self) {
+        self.inner.winding_down.send_replace(true);
+    }
+
+    pub(crate) fn is_winding_down(&self) -> bool {
+        *self.inner.winding_down.borrow()
+    }
+
+    /// Returns once [`Gateway::wind_down`] has been called.
+    pub(crate) async fn wound_down(&self) {
+        // Fails only when the sender is gone, and `self` holds it.
+        let _ = self.inner.winding_down.subscribe().wait_for(|begun| *begun).await;
+    }
+
+    /// One of the places for requests under way.
+    pub(crate) fn admit_request(&self) -> Result<OwnedSemaphorePermit, Problem> {
+        try_acquire(&self.inner.requests, "requests")
+    }
+
+    /// One of the places for open streams.
+    pub(crate) fn admit_stream(&self) -> Result<OwnedSemaphorePermit, Problem> {
+        try_acquire(&self.inner.streams, "streams")
+    }
+
+    /// One of the places for uploads, after a short wait if none is free.
+    pub(crate) async fn admit_upload(&self) -> Result<OwnedSemaphorePermit, Problem> {
+        let turn = Arc::clone(&self.inner.uploads).acquire_owned();
+        match tokio::time::timeout(self.inner.limits.max_upload_queue_wait, turn).await {
+            Ok(Ok(permit)) => Ok(permit),
+            _ => Err(shed("uploads")),
+        }
+    }
+}
+
+fn try_acquire(
+    places: &Arc<Semaphore>,
+    what: &'static str,
+) -> Result<OwnedSemaphorePermit, Problem> {
+    Arc::clone(places).try_acquire_owned().map_err(|_| shed(what))
+}
+
+/// Counts and describes a refusal for want of a place.
+pub(crate) fn shed(what: &'static str) -> Problem {
+    metrics::shed(what);
+    Problem::new(Kind::Busy, format!("too many {what} at the same time; try again shortly"))
+        .retry_after(1)
+}

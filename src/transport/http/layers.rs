@@ -1,0 +1,93 @@
+//! What surrounds every request: its name, its trace, its measurement, and the guards.
+
+use crate::gateway::Gateway;
+use crate::metrics;
+use crate::problem::{Kind, Problem};
+use axum::Router;
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::{HeaderName, HeaderValue};
+use axum::middleware::{Next, from_fn, from_fn_with_state};
+use axum::response::{IntoResponse, Response};
+use std::time::Instant;
+use tower::ServiceBuilder;
+use tower_http::ServiceBuilderExt;
+use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::csrf::{CsrfLayer, ProtectionError};
+use tower_http::request_id::MakeRequestUuid;
+use tower_http::trace::TraceLayer;
+
+static REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+
+/// Longest request name taken over from a client.
+const MAX_REQUEST_ID_BYTES: usize = 128;
+
+/// Surrounds `router` with everything that holds for all routes, the outermost first.
+pub(super) fn surround(router: Router) -> Router {
+    router.layer(
+        ServiceBuilder::new()
+            .layer(from_fn(drop_unusable_request_id))
+            .set_x_request_id(MakeRequestUuid)
+            .layer(TraceLayer::new_for_http().make_span_with(span))
+            .propagate_x_request_id()
+            .layer(from_fn(measure))
+            .layer(CatchPanicLayer::custom(panicked))
+            .layer(CsrfLayer::new().with_rejection_response(cross_origin)),
+    )
+}
+
+/// Sheds requests beyond [`crate::Limits::max_requests`].
+pub(super) fn shed_load(router: Router<Gateway>, gateway: &Gateway) -> Router<Gateway> {
+    async fn admit(State(gateway): State<Gateway>, request: Request, next: Next) -> Response {
+        match gateway.admit_request() {
+            Ok(_place) => next.run(request).await,
+            Err(problem) => problem.into_response(),
+        }
+    }
+    router.layer(from_fn_with_state(gateway.clone(), admit))
+}
+
+/// Forgets a client's request id that could not be repeated safely in a header or a log line; the
+/// next layer then makes one.
+async fn drop_unusable_request_id(mut request: Request, next: Next) -> Response {
+    let usable = |value: &HeaderValue| {
+        (1..=MAX_REQUEST_ID_BYTES).contains(&value.len())
+            && value.as_bytes().iter().all(|b| b.is_ascii_alphanumeric() || b"-_.".contains(b))
+    };
+    if !request.headers().get(&REQUEST_ID).is_some_and(usable) {
+        request.headers_mut().remove(&REQUEST_ID);
+    }
+    next.run(request).await
+}
+
+fn span(request: &Request) -> tracing::Span {
+    let request_id = request.headers().get(&REQUEST_ID).and_then(|id| id.to_str().ok());
+    tracing::info_span!("request", method = %request.method(), path = request.uri().path(),
+        request_id = request_id.unwrap_or_default())
+}
+
+async fn measure(request: Request, next: Next) -> Response {
+    let begun = Instant::now();
+    let method = request.method().clone();
+    let route = request.extensions().get::<MatchedPath>().cloned();
+    let response = next.run(request).await;
+    // Unmatched paths and invented methods share one label, so that clients cannot make up series.
+    let route = route.as_ref().map_or("unmatched", MatchedPath::as_str);
+    let method = if response.status() == 405 { "other" } else { method.as_str() };
+    metrics::http_request(method, route, response.status().as_u16(), begun.elapsed());
+    response
+}
+
+fn panicked(payload: Box<dyn std::any::Any + Send>) -> Response {
+    let message = payload
+        .downcast_ref::<&str>()
+        .map(|text| (*text).to_owned())
+        .or_else(|| payload.downcast_ref::<String>().cloned())
+        .unwrap_or_default();
+    tracing::error!(message, "a request handler panicked");
+    Problem::new(Kind::Internal, "a defect of the daemon; its log has the details").into_response()
+}
+
+fn cross_origin(_error: ProtectionError) -> Response {
+    Problem::new(Kind::Forbidden, "a page of another site may not change anything here")
+        .into_response()
+}

@@ -1,0 +1,74 @@
+//! The whole HTTP API.
+
+use super::extract::{no_method, no_route};
+use super::{edit, evaluate, event, generation, layers, operations, session, simulation, stream};
+use crate::conversion::array::ArrayKind;
+use crate::gateway::Gateway;
+use axum::Router;
+use axum::extract::DefaultBodyLimit;
+use axum::routing::{MethodRouter, get, post};
+
+/// Sessions and what is done with them: shed under load.
+fn api() -> Vec<(&'static str, MethodRouter<Gateway>)> {
+    vec![
+        ("/v1/sessions", post(session::create).get(session::list)),
+        ("/v1/sessions/{id}", get(session::get).delete(session::delete)),
+        ("/v1/sessions/{id}/fork", post(session::fork)),
+        ("/v1/sessions/{id}/events", get(event::events)),
+        ("/v1/sessions/{id}/edits", post(edit::edit)),
+        ("/v1/sessions/{id}/generations/{generation}/modes", generation::get(ArrayKind::Modes)),
+        ("/v1/sessions/{id}/generations/{generation}/basis", generation::get(ArrayKind::Basis)),
+        (
+            "/v1/sessions/{id}/generations/{generation}/transfer",
+            generation::get(ArrayKind::Transfer),
+        ),
+        ("/v1/sessions/{id}/generations/{generation}/delta", generation::get(ArrayKind::Delta)),
+        (
+            "/v1/sessions/{id}/generations/{generation}/evaluator",
+            generation::get(ArrayKind::Evaluator),
+        ),
+        ("/v1/sessions/{id}/generations/{generation}/mass", generation::get(ArrayKind::Mass)),
+        ("/v1/sessions/{id}/generations/{generation}/evaluate", post(evaluate::at_generation)),
+        ("/v1/sessions/{id}/evaluate", post(evaluate::at_current)),
+        (
+            "/v1/sessions/{id}/simulation",
+            get(simulation::get).put(simulation::put).delete(simulation::delete),
+        ),
+        ("/v1/sessions/{id}/simulation/forces", post(simulation::push_forces)),
+        ("/v1/sessions/{id}/stream", get(stream::stream)),
+    ]
+}
+
+/// What the people who run the daemon ask for: always answered.
+fn operations() -> Vec<(&'static str, MethodRouter<Gateway>)> {
+    vec![
+        ("/", get(operations::root)),
+        ("/healthz", get(operations::healthz)),
+        ("/readyz", get(operations::readyz)),
+        ("/metrics", get(operations::metrics)),
+        ("/openapi.json", get(operations::openapi)),
+    ]
+}
+
+/// The whole HTTP API over `gateway`.
+pub fn router(gateway: Gateway) -> Router {
+    let routes = |routes: Vec<(&str, MethodRouter<Gateway>)>| {
+        routes
+            .into_iter()
+            .fold(Router::new(), |router, (path, methods)| router.route(path, methods))
+    };
+    let api = layers::shed_load(routes(api()), &gateway);
+    let router = api
+        .merge(routes(operations()))
+        .fallback(no_route)
+        .method_not_allowed_fallback(no_method)
+        .layer(DefaultBodyLimit::max(gateway.limits().max_document_bytes))
+        .with_state(gateway);
+    layers::surround(router)
+}
+
+/// Every path of the API.
+#[cfg(test)]
+pub(super) fn paths() -> Vec<&'static str> {
+    api().into_iter().chain(operations()).map(|(path, _)| path).collect()
+}

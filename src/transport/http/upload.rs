@@ -1,0 +1,84 @@
+//! Receiving a session's configuration and mesh: one JSON document, or multipart with a file.
+
+use super::extract::{media_type, receive};
+use crate::conversion::session::{Upload, UploadedFile};
+use crate::gateway::Gateway;
+use crate::problem::{Kind, Problem};
+use axum::extract::multipart::{Field, Multipart};
+use axum::extract::{DefaultBodyLimit, FromRequest, Request};
+use bytes::{Bytes, BytesMut};
+use sutura_proto::media;
+
+/// The whole upload, within the limits of its kind.
+pub(super) async fn upload(gateway: &Gateway, mut request: Request) -> Result<Upload, Problem> {
+    match media_type(request.headers()) {
+        Some(media::JSON) => {
+            let limit = gateway.limits().max_inline_mesh_bytes;
+            DefaultBodyLimit::max(limit).apply(&mut request);
+            let config = receive(gateway, Bytes::from_request(request, gateway)).await?;
+            Ok(Upload { config, file: None })
+        }
+        Some("multipart/form-data") => {
+            // Each part has its own limit; this one only bounds what surrounds them.
+            let limits = gateway.limits();
+            let limit = limits.max_mesh_bytes.saturating_add(2 * limits.max_document_bytes);
+            DefaultBodyLimit::max(limit).apply(&mut request);
+            let parts = Multipart::from_request(request, gateway)
+                .await
+                .map_err(|error| Problem::new(Kind::MalformedDocument, error.body_text()))?;
+            receive(gateway, multipart(gateway, parts)).await
+        }
+        _ => {
+            let detail = "send application/json, or multipart/form-data with the parts mesh and \
+                          config";
+            Err(Problem::new(Kind::UnsupportedMediaType, detail))
+        }
+    }
+}
+
+async fn multipart(gateway: &Gateway, mut parts: Multipart) -> Result<Upload, Problem> {
+    let limits = gateway.limits();
+    let (mut config, mut file) = (None, None);
+    while let Some(field) = parts.next_field().await.map_err(malformed)? {
+        let name = field.name().unwrap_or_default().to_owned();
+        match name.as_str() {
+            "config" if config.is_none() => {
+                config = Some(part(field, "/config", limits.max_document_bytes).await?);
+            }
+            "mesh" if file.is_none() => {
+                let name = field.file_name().map(str::to_owned);
+                let bytes = part(field, "/mesh", limits.max_mesh_bytes).await?;
+                file = Some(UploadedFile { name, bytes });
+            }
+            "config" | "mesh" => return Err(parts_fault(format!("two parts are named {name}"))),
+            _ => return Err(parts_fault("only the parts mesh and config belong here".to_owned())),
+        }
+    }
+    let config = config.ok_or_else(|| parts_fault("the part config is missing".to_owned()))?;
+    Ok(Upload { config, file })
+}
+
+/// One part, read piece by piece so that no more than `limit` bytes are ever held.
+async fn part(mut field: Field<'_>, pointer: &str, limit: usize) -> Result<Bytes, Problem> {
+    let mut bytes = BytesMut::new();
+    while let Some(piece) = field.chunk().await.map_err(malformed)? {
+        if bytes.len() + piece.len() > limit {
+            return Err(too_large(pointer, limit));
+        }
+        bytes.extend_from_slice(&piece);
+    }
+    Ok(bytes.freeze())
+}
+
+fn too_large(pointer: &str, limit: usize) -> Problem {
+    let detail = format!("the upload is larger than {limit} bytes, the most that is accepted");
+    Problem::new(Kind::TooLarge, detail).at(pointer)
+}
+
+fn parts_fault(detail: String) -> Problem {
+    Problem::new(Kind::MalformedDocument, detail)
+}
+
+fn malformed(error: axum::extract::multipart::MultipartError) -> Problem {
+    super::extract::BodyFault::from(error).0
+}
