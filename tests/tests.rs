@@ -1,3 +1,10 @@
 //! Integration tests: one binary, a module a subject.
 
+mod arrays;
+mod bodies;
+mod daemon;
+mod edits;
+mod operations;
+mod refusals;
+mod simulation;
 mod walls;

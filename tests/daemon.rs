@@ -1,0 +1,81 @@
+//! A real daemon for one test: its own process, free ports, a scratch directory.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+use sutura_client::{Client, ZenohClient};
+
+/// How long a daemon may take to say where it listens, or to go down.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A running daemon; killed when dropped.
+pub(crate) struct Daemon {
+    process: Child,
+    _scratch: tempfile::TempDir,
+    /// Such as `http://127.0.0.1:8080`.
+    pub(crate) http: String,
+    /// Such as `tcp/127.0.0.1:7447`.
+    pub(crate) zenoh: String,
+}
+
+impl Daemon {
+    /// Starts one and waits until it has said where it listens.
+    pub(crate) fn start() -> Daemon {
+        let scratch = tempfile::tempdir().unwrap();
+        let mut process = Command::new(env!("CARGO_BIN_EXE_sutura"))
+            .args(["serve", "--http", "127.0.0.1:0", "--zenoh", "127.0.0.1:0", "--data"])
+            .arg(scratch.path())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::inherit())
+            .env("RUST_LOG", "warn")
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
+        let mut address = |prefix: &str| {
+            let found = lines.by_ref().map(Result::unwrap).find_map(|line| {
+                line.split_whitespace().find(|word| word.starts_with(prefix)).map(str::to_owned)
+            });
+            found.unwrap_or_else(|| panic!("the daemon named no {prefix} address"))
+        };
+        let (http, zenoh) = (address("http://"), address("tcp/"));
+        // What it goes on to print must not fill the pipe.
+        std::thread::spawn(move || lines.for_each(drop));
+        Daemon { process, _scratch: scratch, http, zenoh }
+    }
+
+    /// A client of it over HTTP.
+    pub(crate) async fn client(&self) -> Client {
+        Client::connect(&self.http).await.unwrap()
+    }
+
+    /// A client of it over Zenoh.
+    pub(crate) async fn zenoh_client(&self) -> ZenohClient {
+        ZenohClient::open(&self.zenoh).await.unwrap()
+    }
+
+    /// The address of `path` on it.
+    pub(crate) fn url(&self, path: &str) -> String {
+        format!("{}{path}", self.http.trim_end_matches('/'))
+    }
+
+    /// Asks it to go down, and waits for its end.
+    pub(crate) fn terminate(mut self) -> ExitStatus {
+        let pid = self.process.id().to_string();
+        assert!(Command::new("kill").args(["-TERM", &pid]).status().unwrap().success());
+        let begun = Instant::now();
+        while begun.elapsed() < PATIENCE {
+            if let Some(status) = self.process.try_wait().unwrap() {
+                return status;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        panic!("the daemon did not go down");
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}

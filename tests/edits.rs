@@ -1,0 +1,188 @@
+//! The main job: from a mesh to stitched generations, over both transports.
+
+use crate::bodies::{N_HALF, STIFFNESS_N_M, bar, config, msh, ready_bar, seam, stitch};
+use crate::daemon::Daemon;
+use sutura_client::Error;
+use sutura_client::proto::edit::{Edit, EditMethod, EditRequest};
+use sutura_client::proto::event::Event;
+use sutura_client::proto::session::{SessionConfig, SessionState};
+
+/// Largest relative difference of corresponding numbers.
+fn difference(a: &[f64], b: &[f64]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    a.iter().zip(b).map(|(a, b)| (a - b).abs() / b.abs()).fold(0.0, f64::max)
+}
+
+#[tokio::test]
+async fn an_incision_is_closed_over_http_and_over_zenoh() {
+    let daemon = Daemon::start();
+    let client = daemon.client().await;
+    let zenoh = daemon.zenoh_client().await;
+
+    let session = client.create_from_file("bar.msh", msh(&bar()), &config()).await.unwrap();
+    let mut stages = Vec::new();
+    let info = session
+        .wait_ready(|event| {
+            if let Event::Stage { stage, progress } = event {
+                assert!((0.0..=1.0).contains(progress));
+                stages.push(stage.clone());
+            }
+        })
+        .await
+        .unwrap();
+    for stage in stages {
+        assert!(info.timings_ms.contains_key(&stage), "{stage} is not in {:?}", info.timings_ms);
+    }
+    assert_eq!((info.state, info.generation), (SessionState::Ready, 0));
+    assert_eq!((info.n_vertices, info.n_tets), (2 * N_HALF as usize, 2 * 96));
+    assert_eq!((info.n_domains, info.n_components), (2, 2));
+    assert_eq!((info.n_free_dofs, info.n_rigid_modes), (3 * (2 * 45 - 9), 6));
+    assert_eq!((info.n_modes, info.n_stitches), (8, 0));
+    assert!(info.frequencies_hz.is_sorted() && info.frequencies_hz[0] > 0.0);
+    assert_eq!(info.name.as_deref(), Some("bar"));
+    assert!(info.memory_bytes > 0);
+    assert_eq!(info.parameters.domain_materials[&2].young_modulus_pa, 5e5);
+
+    let pairs = seam();
+    let (first, second) = pairs.split_at(5);
+    let reply = session.edit(&stitch(first)).await.unwrap();
+    assert_eq!((reply.generation, reply.n_stitches), (1, 5));
+    assert_eq!((reply.stitch_ids.len(), reply.n_rigid_modes), (5, 0));
+    assert_eq!(reply.method, EditMethod::Flexibility);
+    assert_eq!(reply.residuals.len(), reply.frequencies_hz.len());
+    assert!(reply.timings_ms.total > 0.0);
+    assert!(reply.cubature.unwrap().validation_error < 0.2, "{:?}", reply.cubature);
+
+    let bus = zenoh.session(session.id()).unwrap();
+    let mut generations = bus.generations().await.unwrap();
+    let request = EditRequest { base_generation: Some(1), ..stitch(second) };
+    let closed = bus.edit(&request).await.unwrap();
+    assert_eq!((closed.generation, closed.n_stitches), (2, 9));
+    assert!(closed.frequencies_hz[0] > reply.frequencies_hz[0]);
+    let published = generations.next().await.unwrap();
+    assert_eq!((published.generation, published.n_stitches), (2, 9));
+
+    // Both transports describe the same session.
+    let over_http = serde_json::to_value(session.info().await.unwrap()).unwrap();
+    let over_zenoh = serde_json::to_value(bus.info().await.unwrap()).unwrap();
+    assert_eq!(over_http, over_zenoh);
+    assert_eq!(over_http["generation"], 2);
+
+    // Two rounds of edits come to what one round from scratch comes to.
+    let all = SessionConfig { mesh: Some(bar()), ..config() };
+    let other = client.create(&all).await.unwrap();
+    other.wait_ready(|_| {}).await.unwrap();
+    let request = EditRequest { method: EditMethod::FromScratch, ..stitch(&pairs) };
+    let truth = other.edit(&request).await.unwrap();
+    let half = truth.frequencies_hz.len() / 2;
+    let error = difference(&closed.frequencies_hz[..half], &truth.frequencies_hz[..half]);
+    assert!(error < 1e-4, "{error:e}: {:?} and {:?}", closed.frequencies_hz, truth.frequencies_hz);
+
+    assert_eq!(zenoh.daemons().await.unwrap().len(), 1);
+}
+
+#[tokio::test]
+async fn unstitching_returns_the_original_spectrum() {
+    let daemon = Daemon::start();
+    let session = ready_bar(&daemon).await;
+    let before = session.info().await.unwrap();
+    let reply = session.edit(&stitch(&seam())).await.unwrap();
+    assert!(difference(&reply.frequencies_hz[..1], &before.frequencies_hz[..1]) > 1e-2);
+    let unstitch = Edit::Unstitch { stitch_ids: reply.stitch_ids };
+    let undone = session.edit(&EditRequest::new(vec![unstitch])).await.unwrap();
+    assert_eq!((undone.generation, undone.n_stitches, undone.n_rigid_modes), (2, 0, 6));
+    let half = before.frequencies_hz.len() / 2;
+    let error = difference(&undone.frequencies_hz[..half], &before.frequencies_hz[..half]);
+    assert!(error < 1e-4, "{error:e}");
+}
+
+#[tokio::test]
+async fn the_paper_s_method_does_not_raise_the_frequencies() {
+    let daemon = Daemon::start();
+    let session = ready_bar(&daemon).await;
+    let pairs = seam();
+    let held = session.edit(&stitch(&pairs[..5])).await.unwrap();
+    let low_rank = EditRequest { method: EditMethod::LowRank, ..stitch(&pairs[5..]) };
+    let reply = session.edit(&low_rank).await.unwrap();
+    assert_eq!(reply.method, EditMethod::LowRank);
+    let request = EditRequest::new(vec![
+        Edit::Unstitch { stitch_ids: reply.stitch_ids },
+        Edit::Stitch { pairs: pairs[5..].to_vec(), stiffness_n_m: STIFFNESS_N_M },
+    ]);
+    let flexibility = session.fork(None).await.unwrap().edit(&request).await.unwrap();
+    assert!(reply.frequencies_hz[0] < 1.001 * held.frequencies_hz[0]);
+    assert!(flexibility.frequencies_hz[0] > 1.001 * held.frequencies_hz[0]);
+}
+
+#[tokio::test]
+async fn edits_of_one_request_take_effect_together_or_not_at_all() {
+    let daemon = Daemon::start();
+    let session = ready_bar(&daemon).await;
+    let pairs = seam();
+    let before = session.info().await.unwrap();
+    let half_wrong = EditRequest::new(vec![
+        Edit::Stitch { pairs: pairs[..2].to_vec(), stiffness_n_m: 1e5 },
+        Edit::Unstitch { stitch_ids: vec![77] },
+    ]);
+    let error = session.edit(&half_wrong).await.unwrap_err();
+    assert_eq!(error.status(), Some(422), "{error}");
+    assert_eq!(session.info().await.unwrap(), before);
+    let reply = session.edit(&stitch(&pairs[..2])).await.unwrap();
+    assert_eq!((reply.generation, reply.n_stitches), (1, 2));
+}
+
+#[tokio::test]
+async fn a_fork_goes_its_own_way_and_outlives_its_origin() {
+    let daemon = Daemon::start();
+    let client = daemon.client().await;
+    let origin = ready_bar(&daemon).await;
+    let fork = origin.fork(Some("the other bar")).await.unwrap();
+    assert_ne!(fork.id(), origin.id());
+    let before = origin.info().await.unwrap();
+    let info = fork.info().await.unwrap();
+    assert_eq!(info.name.as_deref(), Some("the other bar"));
+    assert_eq!(info.frequencies_hz, before.frequencies_hz);
+    fork.edit(&stitch(&seam())).await.unwrap();
+    assert_eq!(origin.info().await.unwrap(), before);
+
+    let page = client.list(None, 1).await.unwrap();
+    assert_eq!(page.sessions[0].id, origin.id());
+    let page = client.list(page.next.as_deref(), 1).await.unwrap();
+    assert_eq!((page.sessions[0].id.as_str(), page.next), (fork.id(), None));
+
+    let mut events = origin.events().await.unwrap();
+    assert!(matches!(events.next().await.unwrap(), Some(Event::State { .. })));
+    origin.delete().await.unwrap();
+    assert_eq!(events.next().await.unwrap(), Some(Event::Deleted));
+    assert_eq!(events.next().await.unwrap(), None);
+    let error = origin.info().await.unwrap_err();
+    assert_eq!(error.status(), Some(404), "{error}");
+    let error = origin.edit(&stitch(&seam())).await.unwrap_err();
+    assert_eq!(error.status(), Some(404), "{error}");
+    assert_eq!(client.list(None, 50).await.unwrap().sessions.len(), 1);
+    assert_eq!(fork.info().await.unwrap().generation, 1);
+
+    let gone = daemon.zenoh_client().await.session(origin.id()).unwrap();
+    let error = gone.info().await.unwrap_err();
+    assert!(matches!(error, Error::Absent(_)) || error.status() == Some(404), "{error}");
+}
+
+#[tokio::test]
+async fn a_session_tells_of_its_edits() {
+    let daemon = Daemon::start();
+    let session = ready_bar(&daemon).await;
+    let mut events = session.events().await.unwrap();
+    let first = events.next().await.unwrap();
+    assert_eq!(first, Some(Event::State { state: SessionState::Ready, generation: 0 }));
+    session.edit(&stitch(&seam())).await.unwrap();
+    loop {
+        match events.next().await.unwrap().unwrap() {
+            Event::Generation(info) => {
+                assert_eq!((info.generation, info.n_stitches), (1, 9));
+                break;
+            }
+            Event::Stage { .. } | Event::State { .. } => {}
+            event => panic!("{event:?}"),
+        }
+    }
+}

@@ -1,0 +1,142 @@
+//! A simulation, watched over both transports while the body is edited.
+
+use crate::bodies::{TIP, config, ready_bar, seam, stitch};
+use crate::daemon::Daemon;
+use sutura_client::proto::simulation::{Force, SimulationConfig};
+use sutura_client::proto::state::StateFrame;
+use sutura_client::{StateStream, Tracker};
+
+const CONFIG: SimulationConfig = SimulationConfig {
+    dt_s: 0.002,
+    integrator: sutura_client::proto::simulation::IntegratorConfig::ImplicitNewmark,
+    gravity_m_s2: [0.0, -9.81, 0.0],
+    publish_hz: 500.0,
+};
+
+async fn next(states: &mut StateStream) -> StateFrame {
+    states.next().await.unwrap().expect("the stream goes on")
+}
+
+fn norm(values: impl IntoIterator<Item = f32>) -> f32 {
+    values.into_iter().map(|x| x * x).sum::<f32>().sqrt()
+}
+
+#[tokio::test]
+async fn a_simulation_crosses_an_edit_without_a_jump() {
+    let daemon = Daemon::start();
+    let session = ready_bar(&daemon).await;
+    let pairs = seam();
+    session.edit(&stitch(&pairs[..6])).await.unwrap();
+    let info = session.simulate(&CONFIG).await.unwrap();
+    assert_eq!((info.config, info.generation), (CONFIG, 1));
+
+    let bus = daemon.zenoh_client().await.session(session.id()).unwrap();
+    let mut tracker = Tracker::new(bus.clone()).await.unwrap();
+    let mut states = bus.states().await.unwrap();
+    let mut state = next(&mut states).await;
+    let mut displacement = tracker.displacement(&state).await.unwrap();
+    // Let it sag, then edit it while it still swings.
+    while state.time_s < 0.3 {
+        state = next(&mut states).await;
+        displacement = tracker.displacement(&state).await.unwrap();
+    }
+    for vertex in config().fixed_vertices {
+        let at = 3 * vertex as usize;
+        assert_eq!(&displacement[at..at + 3], [0.0; 3]);
+    }
+    assert!(displacement[3 * TIP as usize + 1] < -1e-4, "the tip sags");
+
+    let editing = session.clone();
+    let edit = tokio::spawn(async move { editing.edit(&stitch(&seam()[6..])).await.unwrap() });
+    let mut before = (state.time_s, displacement);
+    let mut velocity = vec![0.0f32; before.1.len()];
+    loop {
+        let state = next(&mut states).await;
+        let displacement = tracker.displacement(&state).await.unwrap();
+        let step = (state.time_s - before.0) as f32;
+        let size = norm(displacement.iter().copied());
+        if state.generation == 2 {
+            // What goes on as before, and what moved in the last step, differ by less than 1 %.
+            let expected = before.1.iter().zip(&velocity).map(|(u, v)| u + step * v);
+            let jump = norm(displacement.iter().zip(expected).map(|(a, b)| a - b));
+            assert!(jump < 0.01 * size, "a jump of {jump} in {size}");
+            break;
+        }
+        let change = displacement.iter().zip(&before.1);
+        velocity = change.map(|(new, old)| (new - old) / step).collect();
+        before = (state.time_s, displacement);
+    }
+    assert_eq!(edit.await.unwrap().generation, 2);
+    assert_eq!(session.simulation().await.unwrap().generation, 2);
+    assert_eq!(tracker.basis().generation(), 2);
+}
+
+#[tokio::test]
+async fn states_arrive_over_websocket_and_zenoh_and_answer_to_forces() {
+    let daemon = Daemon::start();
+    let session = ready_bar(&daemon).await;
+    session.edit(&stitch(&seam())).await.unwrap();
+    let weightless = SimulationConfig { gravity_m_s2: [0.0; 3], ..CONFIG };
+    session.simulate(&weightless).await.unwrap();
+    let mut states = session.states().await.unwrap();
+    let mut tracker = Tracker::new(session.clone()).await.unwrap();
+    let first = next(&mut states).await;
+    let second = next(&mut states).await;
+    assert!(second.sequence > first.sequence && second.time_s > first.time_s);
+    assert_eq!(norm(second.q.iter().copied()), 0.0, "nothing acts, nothing moves");
+
+    let bus = daemon.zenoh_client().await.session(session.id()).unwrap();
+    let mut zenoh_states = bus.states().await.unwrap();
+    let pull = |z| Force { vertex: TIP, force_n: [0.0, 0.0, z], duration_s: 60.0 };
+    let tip = 3 * TIP as usize + 2;
+
+    session.push_forces(&[pull(0.5)]).await.unwrap();
+    loop {
+        let state = next(&mut states).await;
+        assert!(state.time_s < 10.0, "the pull over HTTP moves nothing");
+        if tracker.displacement(&state).await.unwrap()[tip] > 1e-3 {
+            break;
+        }
+    }
+    assert!(session.simulation().await.unwrap().n_forces >= 1);
+    bus.push_forces(&[pull(-2.0)]).await.unwrap();
+    loop {
+        let state = next(&mut zenoh_states).await;
+        assert!(state.time_s < 10.0, "the pull over Zenoh moves nothing");
+        if tracker.displacement(&state).await.unwrap()[tip] < -1e-3 {
+            break;
+        }
+    }
+
+    let slower = SimulationConfig { publish_hz: 20.0, ..weightless };
+    assert_eq!(session.simulate(&slower).await.unwrap().config, slower);
+    session.stop_simulation().await.unwrap();
+    let error = session.simulation().await.unwrap_err();
+    assert_eq!(error.status(), Some(404), "{error}");
+    let error = session.push_forces(&[pull(1.0)]).await.unwrap_err();
+    assert_eq!(error.status(), Some(404), "{error}");
+}
+
+#[tokio::test]
+async fn a_body_that_nothing_holds_is_not_simulated() {
+    let daemon = Daemon::start();
+    let session = ready_bar(&daemon).await;
+    let error = session.simulate(&CONFIG).await.unwrap_err();
+    assert_eq!(error.status(), Some(422), "{error}");
+    assert!(error.to_string().contains("6 rigid modes"), "{error}");
+}
+
+#[tokio::test]
+async fn a_stream_ends_with_its_session() {
+    let daemon = Daemon::start();
+    let session = ready_bar(&daemon).await;
+    session.edit(&stitch(&seam())).await.unwrap();
+    session.simulate(&CONFIG).await.unwrap();
+    let mut states = session.states().await.unwrap();
+    next(&mut states).await;
+    session.delete().await.unwrap();
+    // Those under way still arrive; then the stream is closed in an orderly way.
+    while states.next().await.unwrap().is_some() {}
+    let error = session.states().await.err().unwrap();
+    assert_eq!(error.status(), Some(404), "{error}");
+}
