@@ -3,7 +3,7 @@
 //! * [`session`], [`edit`], [`evaluate`], [`simulation`], [`event`], [`problem`]: the JSON documents.
 //!   A type that is deserialized has every default filled in; `validate` then refuses what no body
 //!   could accept and says which member is at fault.
-//! * [`frame`] and [`npy`]: named numerical arrays as bytes; [`array`] is their common currency,
+//! * [`frame`] and [`npy`]: named numerical arrays as bytes; [`mod@array`] is their common currency,
 //!   [`generation`] lists the arrays there are.
 //! * [`state`]: one published state of a running simulation.
 //! * [`bus`]: the documents that also travel as bincode over Zenoh.
