@@ -162,15 +162,27 @@ impl BusSession {
             get = get.payload(payload).encoding(media::BINCODE);
         }
         let replies = get.await.map_err(Error::Zenoh)?;
-        // No matching queryable ends the replies at once.
-        let reply = replies.recv_async().await.map_err(|_| Error::Absent(key))?;
-        reply.into_result().map_err(|error| {
-            let payload = error.payload().to_bytes();
-            match serde_json::from_slice(&payload) {
-                Ok(problem) => Error::Problem(Box::new(problem)),
-                Err(_) => Error::Decode("the error is not a problem document".to_owned()),
+        // Every daemon is asked; those that do not have the session say so (404). No daemon at all
+        // ends the replies at once.
+        let mut refusal = Error::Absent(key);
+        while let Ok(reply) = replies.recv_async().await {
+            match reply.into_result() {
+                Ok(sample) => return Ok(sample),
+                Err(error) => {
+                    if matches!(refusal, Error::Absent(_)) || refusal.status() == Some(404) {
+                        refusal = problem(&error.payload().to_bytes());
+                    }
+                }
             }
-        })
+        }
+        Err(refusal)
+    }
+}
+
+fn problem(payload: &[u8]) -> Error {
+    match serde_json::from_slice(payload) {
+        Ok(problem) => Error::Problem(Box::new(problem)),
+        Err(_) => Error::Decode("the error is not a problem document".to_owned()),
     }
 }
 
