@@ -1,2 +1,81 @@
 //! The sutura daemon and command line.
-fn main() {}
+
+mod command_line;
+mod config;
+mod daemon;
+mod logging;
+mod signals;
+
+use clap::Parser;
+use command_line::{Command, CommandLine, ServeArgs};
+use daemon::Daemon;
+use signals::Signals;
+use std::io::Write;
+use std::process::ExitCode;
+
+/// What the user gave cannot be used.
+const BAD_INPUT: u8 = 2;
+/// Anything else that went wrong.
+const FAILED: u8 = 1;
+
+fn main() -> ExitCode {
+    let result = match CommandLine::parse().command {
+        Command::Serve(args) => serve(args),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("sutura: {failure}");
+            ExitCode::from(failure.exit_code())
+        }
+    }
+}
+
+/// Runs a daemon until it is told to stop. Each address it serves stands on one line of the
+/// standard output, as soon as it can be used.
+#[tokio::main]
+async fn serve(args: ServeArgs) -> Result<(), Failure> {
+    let config = args.resolve()?;
+    logging::install(&config.log)?;
+    let recorder = sutura_transport::install_recorder()?;
+    let mut signals = Signals::listen()?;
+    let daemon = Daemon::start(&config, recorder).await?;
+    writeln!(std::io::stdout(), "http {}", daemon.http_url())?;
+    writeln!(std::io::stdout(), "zenoh {}", daemon.zenoh_endpoint())?;
+
+    let signal = signals.next().await;
+    tracing::info!(signal, deadline_s = config.shutdown.deadline.as_secs_f64(), "stopping");
+    tokio::select! {
+        () = daemon.stop() => Ok(()),
+        signal = signals.next() => Err(Failure::Impatient(signal)),
+    }
+}
+
+/// Why the program ends without having done what it was asked for.
+#[derive(Debug, thiserror::Error)]
+enum Failure {
+    #[error(transparent)]
+    Config(#[from] config::ConfigError),
+    #[error(transparent)]
+    LogFilter(#[from] logging::LogFilterError),
+    #[error(transparent)]
+    Start(#[from] daemon::StartError),
+    #[error("cannot record metrics: {0}")]
+    Metrics(#[from] metrics_exporter_prometheus::BuildError),
+    #[error(transparent)]
+    System(#[from] std::io::Error),
+    #[error("{0} again: stopped without waiting for work under way")]
+    Impatient(&'static str),
+}
+
+impl Failure {
+    fn exit_code(&self) -> u8 {
+        match self {
+            Failure::Config(_) | Failure::LogFilter(_) => BAD_INPUT,
+            Failure::Start(_)
+            | Failure::Metrics(_)
+            | Failure::System(_)
+            | Failure::Impatient(_) => FAILED,
+        }
+    }
+}

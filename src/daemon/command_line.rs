@@ -1,0 +1,98 @@
+//! The command line. Flags override environment variables, which override the file.
+
+use crate::config::{Config, ConfigError, LogFormat, ZenohEndpoint};
+use clap::{Args, Parser, Subcommand};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+/// Keeps deformable bodies ready for interactive editing.
+#[derive(Debug, Parser)]
+#[command(version, arg_required_else_help = true)]
+pub(crate) struct CommandLine {
+    /// What to do.
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+/// What the program can do.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Serve bodies over HTTP and Zenoh until SIGTERM or SIGINT.
+    Serve(ServeArgs),
+}
+
+/// Options of `sutura serve`.
+#[derive(Debug, Default, Args)]
+pub(crate) struct ServeArgs {
+    /// Configuration file; every option stands in deploy/sutura.toml. Without one, and without
+    /// other flags, the daemon listens on loopback only.
+    #[arg(long, env = "SUTURA_CONFIG", value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// Address to serve HTTP on; port 0 takes a free one.
+    #[arg(long, env = "SUTURA_HTTP", value_name = "ADDR:PORT")]
+    pub(crate) http: Option<SocketAddr>,
+    /// Endpoint to serve Zenoh on, such as tcp/127.0.0.1:7447; port 0 takes a free one.
+    #[arg(long, env = "SUTURA_ZENOH", value_name = "ENDPOINT")]
+    pub(crate) zenoh: Option<ZenohEndpoint>,
+    /// What to log, such as `info,sutura_store=debug`.
+    #[arg(long, env = "SUTURA_LOG", value_name = "FILTER")]
+    pub(crate) log: Option<String>,
+    /// Log one JSON object a line.
+    #[arg(long, env = "SUTURA_JSON")]
+    pub(crate) json: bool,
+}
+
+impl ServeArgs {
+    /// The file's configuration, or the default one, with these options laid over it.
+    pub(crate) fn resolve(self) -> Result<Config, ConfigError> {
+        let mut config = match &self.config {
+            Some(path) => Config::read(path)?,
+            None => Config::default(),
+        };
+        if let Some(listen) = self.http {
+            config.http.listen = listen;
+        }
+        if let Some(listen) = self.zenoh {
+            config.zenoh.listen = listen;
+        }
+        if let Some(filter) = self.log {
+            config.log.filter = filter;
+        }
+        if self.json {
+            config.log.format = LogFormat::Json;
+        }
+        Ok(config)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        use clap::CommandFactory;
+        CommandLine::command().debug_assert();
+    }
+
+    #[test]
+    fn flags_override_the_file_and_leave_the_rest() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("sutura.toml");
+        std::fs::write(&path, "[http]\nlisten = \"127.0.0.1:1\"\n[work]\nn_build_threads = 5")
+            .unwrap();
+        let http = "127.0.0.1:2".parse().unwrap();
+        let args = ServeArgs { config: Some(path), http: Some(http), ..ServeArgs::default() };
+        let config = args.resolve().unwrap();
+        assert_eq!(config.http.listen, http);
+        assert_eq!(config.work.n_build_threads, 5);
+        assert_eq!(config.zenoh, Config::default().zenoh);
+    }
+
+    #[test]
+    fn without_options_only_loopback_is_served() {
+        let config = ServeArgs::default().resolve().unwrap();
+        assert!(config.http.listen.ip().is_loopback());
+        assert!(config.zenoh.listen.0.ip().is_loopback());
+    }
+}

@@ -1,0 +1,102 @@
+//! A daemon: the store with both its doors open. `sutura serve` is one; anything else in this
+//! process can run one too.
+
+use crate::config::Config;
+use metrics_exporter_prometheus::PrometheusHandle;
+use std::net::SocketAddr;
+use std::time::Duration;
+use sutura_store::{Store, StoreConfig};
+use sutura_transport::bus::{self, Bus, BusError};
+use sutura_transport::{Gateway, http};
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
+use tokio::time::timeout;
+
+/// How long closing connections may take once all work has ended or been cancelled.
+const CLOSING_GRACE: Duration = Duration::from_secs(2);
+
+/// Why a daemon could not start.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum StartError {
+    /// The store's threads could not be started.
+    #[error("cannot start the worker threads: {0}")]
+    Threads(std::io::Error),
+    /// HTTP's address cannot be listened on.
+    #[error("cannot listen on {address}: {source}")]
+    Http {
+        /// The address asked for.
+        address: SocketAddr,
+        /// What the operating system said.
+        source: std::io::Error,
+    },
+    /// Zenoh cannot be served.
+    #[error(transparent)]
+    Zenoh(#[from] BusError),
+}
+
+/// A running daemon.
+pub(crate) struct Daemon {
+    store: Store,
+    bus: Bus,
+    http_address: SocketAddr,
+    stop_http: oneshot::Sender<()>,
+    http: JoinHandle<std::io::Result<()>>,
+    deadline: Duration,
+}
+
+impl Daemon {
+    /// Starts a daemon that serves already when this returns. `recorder` is the process's (see
+    /// [`sutura_transport::install_recorder`]).
+    pub(crate) async fn start(
+        config: &Config,
+        recorder: PrometheusHandle,
+    ) -> Result<Daemon, StartError> {
+        let store_config = StoreConfig { work: config.work.clone(), limits: config.limits.clone() };
+        let store = Store::new(store_config).map_err(StartError::Threads)?;
+        let gateway = Gateway::new(store.clone(), config.traffic.clone(), recorder);
+        let address = config.http.listen;
+        let refused = |source| StartError::Http { address, source };
+        let listener = TcpListener::bind(address).await.map_err(refused)?;
+        let http_address = listener.local_addr().map_err(refused)?;
+        let bus = bus::open(&gateway, config.zenoh.bus()).await?;
+        let (stop_http, stopped) = oneshot::channel();
+        let http = tokio::spawn(http::serve(gateway, listener, async {
+            // Dropping the daemon stops it too.
+            let _ = stopped.await;
+        }));
+        let deadline = config.shutdown.deadline;
+        Ok(Daemon { store, bus, http_address, stop_http, http, deadline })
+    }
+
+    /// Base of every HTTP address of this daemon: `http://127.0.0.1:8080`.
+    pub(crate) fn http_url(&self) -> String {
+        format!("http://{}", self.http_address)
+    }
+
+    /// The endpoint that Zenoh clients connect to: `tcp/127.0.0.1:7447`.
+    pub(crate) fn zenoh_endpoint(&self) -> String {
+        self.bus.endpoint()
+    }
+
+    /// Takes no new work, cancels builds, lets edits and requests under way finish until the
+    /// configured deadline, then closes both doors.
+    pub(crate) async fn stop(self) {
+        let _ = self.stop_http.send(());
+        if !self.store.shutdown(self.deadline).await {
+            tracing::warn!("some work did not stop in time and is left behind");
+        }
+        match timeout(CLOSING_GRACE, self.bus.close()).await {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => tracing::warn!(%error, "Zenoh did not close cleanly"),
+            Err(_) => tracing::warn!("Zenoh did not close in time"),
+        }
+        match timeout(CLOSING_GRACE, self.http).await {
+            Ok(Ok(Ok(()))) => {}
+            Ok(Ok(Err(error))) => tracing::warn!(%error, "HTTP did not end cleanly"),
+            Ok(Err(error)) => tracing::error!(%error, "HTTP ended unexpectedly"),
+            Err(_) => tracing::warn!("some HTTP connections did not close in time"),
+        }
+        tracing::info!("stopped");
+    }
+}
