@@ -1,6 +1,7 @@
 //! The command line. Flags override environment variables, which override the file.
 
 use crate::config::{Config, ConfigError, LogFormat, ZenohEndpoint};
+use crate::demo::{DemoArgs, SUBSCRIBER_COMMAND, SubscriberArgs};
 use clap::{Args, Parser, Subcommand};
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -19,6 +20,11 @@ pub(crate) struct CommandLine {
 pub(crate) enum Command {
     /// Serve bodies over HTTP and Zenoh until SIGTERM or SIGINT.
     Serve(ServeArgs),
+    /// Show the main job on a bundled stomach, or on your own mesh, and leave a report and pictures.
+    Demo(DemoArgs),
+    /// Watch a simulation for `demo`.
+    #[command(name = SUBSCRIBER_COMMAND, hide = true)]
+    DemoSubscriber(SubscriberArgs),
 }
 
 /// Options of `sutura serve`.

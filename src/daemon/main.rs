@@ -3,12 +3,14 @@
 mod command_line;
 mod config;
 mod daemon;
+mod demo;
 mod logging;
 mod signals;
 
 use clap::Parser;
 use command_line::{Command, CommandLine, ServeArgs};
 use daemon::Daemon;
+use demo::{DemoArgs, DemoError, SubscriberArgs};
 use signals::Signals;
 use std::io::Write;
 use std::process::ExitCode;
@@ -21,11 +23,16 @@ const FAILED: u8 = 1;
 fn main() -> ExitCode {
     let result = match CommandLine::parse().command {
         Command::Serve(args) => serve(args),
+        Command::Demo(args) => demonstrate(args),
+        Command::DemoSubscriber(args) => watch(args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
             eprintln!("sutura: {failure}");
+            if let Failure::Demo(error) = &failure {
+                eprintln!("{}", error.advice());
+            }
             ExitCode::from(failure.exit_code())
         }
     }
@@ -51,6 +58,23 @@ async fn serve(args: ServeArgs) -> Result<(), Failure> {
     }
 }
 
+/// Runs a daemon on free loopback ports and demonstrates it.
+#[tokio::main]
+async fn demonstrate(args: DemoArgs) -> Result<(), Failure> {
+    let config = args.daemon_config();
+    logging::install(&config.log)?;
+    let daemon = Daemon::start(&config, sutura_transport::install_recorder()?).await?;
+    let result = demo::run(&args, &daemon).await;
+    daemon.stop().await;
+    Ok(result?)
+}
+
+/// The watching process of the demonstration.
+#[tokio::main]
+async fn watch(args: SubscriberArgs) -> Result<(), Failure> {
+    Ok(demo::watch(&args).await?)
+}
+
 /// Why the program ends without having done what it was asked for.
 #[derive(Debug, thiserror::Error)]
 enum Failure {
@@ -64,6 +88,8 @@ enum Failure {
     Metrics(#[from] metrics_exporter_prometheus::BuildError),
     #[error(transparent)]
     System(#[from] std::io::Error),
+    #[error(transparent)]
+    Demo(#[from] DemoError),
     #[error("{0} again: stopped without waiting for work under way")]
     Impatient(&'static str),
 }
@@ -72,9 +98,11 @@ impl Failure {
     fn exit_code(&self) -> u8 {
         match self {
             Failure::Config(_) | Failure::LogFilter(_) => BAD_INPUT,
+            Failure::Demo(error) if error.is_bad_input() => BAD_INPUT,
             Failure::Start(_)
             | Failure::Metrics(_)
             | Failure::System(_)
+            | Failure::Demo(_)
             | Failure::Impatient(_) => FAILED,
         }
     }

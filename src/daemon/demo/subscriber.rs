@@ -1,0 +1,293 @@
+//! The process that watches the simulation: receives states over Zenoh, reconstructs u = U q, and
+//! measures what an edit in mid-motion does to the displacement field.
+//!
+//! It speaks JSON on standard output, one [`Message`] a line.
+
+use super::error::{DemoError, Doing};
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+use sutura_client::proto::state::StateFrame;
+use sutura_client::{BusSession, Tracker, ZenohClient};
+
+/// Frames that are watched after the edit has taken effect.
+const N_FRAMES_AFTER_SWITCH: usize = 100;
+/// Frames between two words to the parent process.
+const N_FRAMES_BETWEEN_WORDS: usize = 50;
+/// A simulation that is silent for so long has stopped.
+const MAX_SILENCE: Duration = Duration::from_secs(30);
+
+/// What to watch.
+#[derive(clap::Args, Debug)]
+pub(crate) struct SubscriberArgs {
+    /// The daemon's Zenoh endpoint
+    #[arg(long)]
+    pub(crate) zenoh: String,
+    /// The session
+    #[arg(long)]
+    pub(crate) session: String,
+    /// How many frames to receive at least
+    #[arg(long)]
+    pub(crate) n_frames: usize,
+}
+
+/// A line on standard output.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(tag = "message", rename_all = "snake_case")]
+pub(crate) enum Message {
+    /// Subscribed, and the basis is here.
+    Ready,
+    /// So many frames have arrived.
+    Received { n_frames: usize },
+    /// The end.
+    Report(MotionReport),
+}
+
+/// What was seen.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct MotionReport {
+    /// States received and turned into displacements.
+    pub(crate) n_frames: usize,
+    /// States that were published but never arrived.
+    pub(crate) n_lost: u64,
+    /// Simulated time between the first and the last of them, in s.
+    pub(crate) duration_s: f64,
+    /// The state in which the body was furthest from rest before the edit.
+    pub(crate) furthest: Furthest,
+    pub(crate) switch: SwitchReport,
+}
+
+/// A state worth a picture.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Furthest {
+    pub(crate) generation: u64,
+    pub(crate) time_s: f64,
+    pub(crate) max_displacement_m: f64,
+    pub(crate) q: Vec<f32>,
+}
+
+impl Furthest {
+    /// At rest.
+    pub(crate) fn rest() -> Furthest {
+        Furthest { generation: 0, time_s: 0.0, max_displacement_m: 0.0, q: Vec::new() }
+    }
+
+    /// Takes `state` over if it is further from rest.
+    pub(crate) fn update(&mut self, state: &StateFrame, displacement: &[f32]) {
+        let max_displacement_m = largest(displacement);
+        if max_displacement_m > self.max_displacement_m {
+            *self = Furthest {
+                generation: state.generation,
+                time_s: state.time_s,
+                max_displacement_m,
+                q: state.q.clone(),
+            };
+        }
+    }
+}
+
+/// How the body crossed from one generation to the next.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct SwitchReport {
+    pub(crate) from_generation: u64,
+    pub(crate) to_generation: u64,
+    /// Simulated time of the last state before and of the first one after.
+    pub(crate) times_s: [f64; 2],
+    /// Largest displacement of the last state before, in m.
+    pub(crate) max_displacement_m: f64,
+    /// Largest difference over the vertices between U q of the last state before and the same state
+    /// carried over, U_new (transfer · q), relative to `max_displacement_m`.
+    pub(crate) jump: f64,
+    /// Largest difference between the first state after the switch and where the last three before
+    /// it were heading, relative to `max_displacement_m`.
+    pub(crate) departure: f64,
+    /// The largest departure of the same kind among the states before the switch: what the motion
+    /// itself, sampled at the published rate, amounts to.
+    pub(crate) usual_departure: f64,
+}
+
+/// Watches until enough has been seen.
+pub(crate) async fn run(args: &SubscriberArgs) -> Result<(), DemoError> {
+    let client = ZenohClient::open(&args.zenoh).await.doing("joining the daemon's Zenoh")?;
+    let session = client.session(&args.session).doing("naming the session")?;
+    let mut states = session.states().await.doing("subscribing to the states")?;
+    let tracker = Tracker::new(session).await.doing("fetching the basis")?;
+    say(&Message::Ready);
+    let mut watch = Watch::new(tracker);
+    while !watch.is_done(args.n_frames) {
+        let next = tokio::time::timeout(MAX_SILENCE, states.next()).await;
+        let state = next.map_err(|_| {
+            let silence = MAX_SILENCE.as_secs();
+            DemoError::Unexpected(format!("no state was published for {silence} s"))
+        })?;
+        let Some(state) = state.doing("receiving a state")? else { break };
+        watch.see(state).await?;
+        if watch.n_frames % N_FRAMES_BETWEEN_WORDS == 0 {
+            say(&Message::Received { n_frames: watch.n_frames });
+        }
+    }
+    say(&Message::Report(watch.into_report()?));
+    client.close().await.doing("leaving Zenoh")
+}
+
+fn say(message: &Message) {
+    // Serializing these cannot fail: no map keys, and what is not finite becomes null.
+    if let Ok(line) = serde_json::to_string(message) {
+        println!("{line}");
+    }
+}
+
+/// A state as a displacement field.
+struct Moment {
+    time_s: f64,
+    q: Vec<f32>,
+    displacement: Vec<f32>,
+}
+
+struct Watch {
+    tracker: Tracker<BusSession>,
+    n_frames: usize,
+    n_lost: u64,
+    first_time_s: f64,
+    last_sequence: u64,
+    /// The last three states of the current generation, the oldest first.
+    recent: Vec<Moment>,
+    furthest: Furthest,
+    usual_departure: f64,
+    switch: Option<SwitchReport>,
+    n_frames_at_switch: usize,
+}
+
+impl Watch {
+    fn new(tracker: Tracker<BusSession>) -> Watch {
+        Watch {
+            tracker,
+            n_frames: 0,
+            n_lost: 0,
+            first_time_s: 0.0,
+            last_sequence: 0,
+            recent: Vec::new(),
+            furthest: Furthest::rest(),
+            usual_departure: 0.0,
+            switch: None,
+            n_frames_at_switch: 0,
+        }
+    }
+
+    fn is_done(&self, n_frames: usize) -> bool {
+        self.n_frames >= n_frames
+            && self.switch.is_some()
+            && self.n_frames >= self.n_frames_at_switch + N_FRAMES_AFTER_SWITCH
+    }
+
+    async fn see(&mut self, state: StateFrame) -> Result<(), DemoError> {
+        if self.n_frames == 0 {
+            self.first_time_s = state.time_s;
+        } else {
+            self.n_lost += state.sequence.saturating_sub(self.last_sequence + 1);
+        }
+        self.last_sequence = state.sequence;
+        let old_generation = self.tracker.basis().generation();
+        let carried =
+            if state.generation == old_generation { None } else { self.carry(&state).await? };
+        let displacement =
+            self.tracker.displacement(&state).await.doing("reconstructing u = U q")?;
+        let heading = extrapolate(&self.recent, state.time_s);
+        let departure = heading.map(|heading| largest_difference(&heading, &displacement));
+        let reference = self.recent.last().map_or(0.0, |last| largest(&last.displacement));
+        if let Some((before, after)) = carried {
+            let jump = largest_difference(&before, &after);
+            self.switch = Some(SwitchReport {
+                from_generation: old_generation,
+                to_generation: state.generation,
+                times_s: [self.recent.last().map_or(0.0, |last| last.time_s), state.time_s],
+                max_displacement_m: reference,
+                jump: jump / reference,
+                departure: departure.unwrap_or(0.0) / reference,
+                usual_departure: self.usual_departure / reference,
+            });
+            self.n_frames_at_switch = self.n_frames;
+            self.recent.clear();
+        } else if let Some(departure) = departure.filter(|_| self.switch.is_none()) {
+            self.usual_departure = self.usual_departure.max(departure);
+        }
+        if self.switch.is_none() {
+            self.furthest.update(&state, &displacement);
+        }
+        if self.recent.len() == 3 {
+            self.recent.remove(0);
+        }
+        self.recent.push(Moment { time_s: state.time_s, q: state.q, displacement });
+        self.n_frames += 1;
+        Ok(())
+    }
+
+    /// Goes over to the generation of `state`; returns the last displacement as it was and as the
+    /// new basis has it.
+    async fn carry(
+        &mut self,
+        state: &StateFrame,
+    ) -> Result<Option<(Vec<f32>, Vec<f32>)>, DemoError> {
+        let transfer = self.tracker.follow(state.generation).await.doing("following an edit")?;
+        let Some(last) = self.recent.last() else { return Ok(None) };
+        let q = transfer.apply(&last.q).doing("carrying a state over")?;
+        let after = self.tracker.basis().reconstruct(&q).doing("reconstructing u = U q")?;
+        Ok(Some((last.displacement.clone(), after)))
+    }
+
+    fn into_report(self) -> Result<MotionReport, DemoError> {
+        let switch = self.switch.ok_or_else(|| {
+            DemoError::Unexpected("the simulation never went over to the edited body".to_owned())
+        })?;
+        Ok(MotionReport {
+            n_frames: self.n_frames,
+            n_lost: self.n_lost,
+            duration_s: self.recent.last().map_or(0.0, |last| last.time_s - self.first_time_s),
+            furthest: self.furthest,
+            switch,
+        })
+    }
+}
+
+/// Where three states are heading at `time_s`, by the parabola through them.
+fn extrapolate(recent: &[Moment], time_s: f64) -> Option<Vec<f32>> {
+    let [a, b, c] = recent else { return None };
+    let weight = |of: &Moment, other: &Moment, another: &Moment| {
+        ((time_s - other.time_s) * (time_s - another.time_s)
+            / ((of.time_s - other.time_s) * (of.time_s - another.time_s))) as f32
+    };
+    let [wa, wb, wc] = [weight(a, b, c), weight(b, a, c), weight(c, a, b)];
+    let fields = a.displacement.iter().zip(&b.displacement).zip(&c.displacement);
+    Some(fields.map(|((a, b), c)| wa * a + wb * b + wc * c).collect())
+}
+
+/// The largest displacement of any vertex.
+pub(crate) fn largest(displacement: &[f32]) -> f64 {
+    let norm = |u: &[f32]| u.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>().sqrt();
+    displacement.chunks_exact(3).map(norm).fold(0.0, f64::max)
+}
+
+fn largest_difference(a: &[f32], b: &[f32]) -> f64 {
+    let difference: Vec<f32> = a.iter().zip(b).map(|(a, b)| a - b).collect();
+    largest(&difference)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_parabola_is_continued_exactly() {
+        let x = |t: f64| (1.0 - 2.0 * t + 3.0 * t * t) as f32;
+        let moment =
+            |time_s| Moment { time_s, q: vec![], displacement: vec![x(time_s), 0.0, -x(time_s)] };
+        let recent = [0.0, 0.1, 0.25].map(moment);
+        let heading = extrapolate(&recent, 0.4).unwrap();
+        assert!(largest_difference(&heading, &[x(0.4), 0.0, -x(0.4)]) < 1e-6);
+        assert!(extrapolate(&recent[..2], 0.4).is_none());
+    }
+
+    #[test]
+    fn the_largest_displacement_is_a_vector_length() {
+        assert_eq!(largest(&[0.0, 0.0, 1.0, 3.0, 0.0, -4.0]), 5.0);
+    }
+}
