@@ -48,21 +48,21 @@ impl ZenohConfig {
     }
 }
 
-/// A TCP endpoint as Zenoh writes it: `tcp/127.0.0.1:7447`.
+/// A TCP endpoint as Zenoh writes it: `tcp/127.0.0.1:7447`. On the way in, `tcp/` may be left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "String")]
 pub(crate) struct ZenohEndpoint(pub(crate) SocketAddr);
 
 /// The text is no TCP endpoint.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is no endpoint of the form tcp/ADDRESS:PORT, such as tcp/127.0.0.1:7447")]
+#[error("{0:?} is no endpoint of the form tcp/ADDR:PORT, such as tcp/127.0.0.1:7447")]
 pub(crate) struct NotAnEndpoint(String);
 
 impl FromStr for ZenohEndpoint {
     type Err = NotAnEndpoint;
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let address = text.strip_prefix("tcp/").and_then(|address| address.parse().ok());
-        address.map(Self).ok_or_else(|| NotAnEndpoint(text.into()))
+        let address = text.strip_prefix("tcp/").unwrap_or(text);
+        address.parse().map(Self).map_err(|_| NotAnEndpoint(text.into()))
     }
 }
 
