@@ -23,11 +23,10 @@ impl Daemon {
     pub(crate) fn start() -> Daemon {
         let scratch = tempfile::tempdir().unwrap();
         let mut process = Command::new(env!("CARGO_BIN_EXE_sutura"))
-            .args(["serve", "--http", "127.0.0.1:0", "--zenoh", "127.0.0.1:0", "--data"])
-            .arg(scratch.path())
+            .args(["serve", "--http", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0", "--log", "warn"])
+            .current_dir(scratch.path())
             .stdout(Stdio::piped())
             .stderr(Stdio::inherit())
-            .env("RUST_LOG", "warn")
             .spawn()
             .unwrap();
         let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
