@@ -9,16 +9,21 @@ use std::time::Instant;
 use sutura_core::mesh::MeshLimits;
 use sutura_proto::array::DType;
 use sutura_proto::edit::{EditReply, EditRequest};
+use sutura_proto::generation::{PARAMETER_DTYPE, PARAMETER_FROM, PARAMETER_HAVE};
 use sutura_proto::session::SessionInfo;
 use sutura_proto::simulation::ForceRequest;
 use sutura_store::{Generation, GenerationRef, SessionId};
 
+/// What a client wrote, quoted and cut to what fits into a sentence.
+fn shown(text: &str) -> String {
+    let cut: String = text.chars().take(64).collect();
+    format!("{cut:?}")
+}
+
 /// The session that `text` names.
 pub(crate) fn session_id(text: &str) -> Result<SessionId, Problem> {
-    text.parse().map_err(|_| {
-        let shown: String = text.chars().take(64).collect();
-        Problem::new(Kind::NoSession, format!("there is no session {shown:?}"))
-    })
+    text.parse()
+        .map_err(|_| Problem::new(Kind::NoSession, format!("there is no session {}", shown(text))))
 }
 
 /// The generation that `text` names: a number, or `current`.
@@ -154,14 +159,18 @@ impl ArrayParams {
         let mut params = ArrayParams { dtype: DType::F32, from: None, have: None };
         for (name, value) in pairs {
             match (name, value) {
-                ("dtype", "f32") => params.dtype = DType::F32,
-                ("dtype", "f64") => params.dtype = DType::F64,
-                ("dtype", _) => return Err(malformed("dtype must be f32 or f64".to_owned())),
-                ("from", text) => params.from = number("from", text)?,
-                ("have", text) => params.have = number("have", text)?,
+                (PARAMETER_DTYPE, "f32") => params.dtype = DType::F32,
+                (PARAMETER_DTYPE, "f64") => params.dtype = DType::F64,
+                (PARAMETER_DTYPE, other) => {
+                    return Err(malformed(format!(
+                        "dtype must be f32 or f64, not {}",
+                        shown(other)
+                    )));
+                }
+                (PARAMETER_FROM, text) => params.from = number(PARAMETER_FROM, text)?,
+                (PARAMETER_HAVE, text) => params.have = number(PARAMETER_HAVE, text)?,
                 _ => {
-                    let shown: String = name.chars().take(64).collect();
-                    return Err(malformed(format!("there is no parameter {shown:?}")));
+                    return Err(malformed(format!("there is no parameter {}", shown(name))));
                 }
             }
         }

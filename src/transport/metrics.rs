@@ -3,7 +3,7 @@
 use crate::conversion::edit::method_name;
 use metrics_exporter_prometheus::{BuildError, Matcher, PrometheusBuilder, PrometheusHandle};
 use std::time::Duration;
-use sutura_store::{Event, EventKind, Generation, GenerationRef, SessionState, Store};
+use sutura_store::{Event, EventKind, Generation, GenerationRef, Load, SessionState, Store};
 use tokio::sync::broadcast::error::RecvError;
 
 /// Upper bounds of the duration histograms' buckets, in s: from one reduced evaluation to a long
@@ -41,6 +41,8 @@ fn describe() {
     describe_histogram!(BUILD_STAGE, Seconds, "Time in each stage of a body's first build");
     describe_counter!(BUILDS, "Builds ended, by outcome");
     describe_gauge!(SESSIONS, "Sessions held");
+    describe_gauge!(SIMULATIONS, "Simulations running");
+    describe_gauge!(TASKS, "Builds, edits and queries of the store, by state");
     describe_gauge!(STREAMS, "Open streams, by kind");
     describe_counter!(FRAMES_SENT, "State frames handed to a transport");
     describe_counter!(FRAMES_DROPPED, "State frames that a slow reader lost");
@@ -53,6 +55,8 @@ const EDIT_STAGE: &str = "sutura_edit_stage_seconds";
 const BUILD_STAGE: &str = "sutura_build_stage_seconds";
 const BUILDS: &str = "sutura_builds_total";
 const SESSIONS: &str = "sutura_sessions";
+const SIMULATIONS: &str = "sutura_simulations";
+const TASKS: &str = "sutura_tasks";
 const STREAMS: &str = "sutura_streams";
 const FRAMES_SENT: &str = "sutura_frames_sent_total";
 const FRAMES_DROPPED: &str = "sutura_frames_dropped_total";
@@ -84,8 +88,20 @@ fn build_ended(outcome: &'static str) {
     metrics::counter!(BUILDS, "outcome" => outcome).increment(1);
 }
 
-pub(crate) fn sessions(count: usize) {
-    metrics::gauge!(SESSIONS).set(count as f64);
+/// Records how busy the store is now.
+pub(crate) fn load(load: Load) {
+    metrics::gauge!(SESSIONS).set(load.n_sessions as f64);
+    metrics::gauge!(SIMULATIONS).set(load.n_simulations as f64);
+    for (kind, state, count) in [
+        ("build", "waiting", load.n_waiting_builds),
+        ("build", "running", load.n_running_builds),
+        ("edit", "waiting", load.n_waiting_edits),
+        ("edit", "running", load.n_running_edits),
+        ("query", "waiting", load.n_waiting_queries),
+        ("query", "running", load.n_running_queries),
+    ] {
+        metrics::gauge!(TASKS, "kind" => kind, "state" => state).set(count as f64);
+    }
 }
 
 pub(crate) fn frame_sent(transport: &'static str) {

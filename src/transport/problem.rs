@@ -220,16 +220,27 @@ impl From<&StoreError> for Problem {
     }
 }
 
-/// An edit error met while a body is built: the pairs are those of its `seams`.
+/// An error met while a body is built: edits are then those that its seams prepare.
 pub(crate) fn of_build(error: &StoreError) -> Problem {
-    let problem = Problem::from(error);
     match error {
-        StoreError::Edit(error) => Problem {
-            kind: Kind::ImpossibleConfiguration,
-            pointer: pair_of(error).map(|pair| format!("/seams/{pair}")),
-            ..problem
-        },
-        _ => problem,
+        StoreError::Edit(error) => of_seam(error, &[]),
+        _ => Problem::from(error),
+    }
+}
+
+/// A candidate pair that cannot be stitched. `positions` says where each pair that was tried stands
+/// in the configuration; a pair beyond them stands where it was tried.
+pub(crate) fn of_seam(error: &EditError, positions: &[usize]) -> Problem {
+    // The error counts edits, but a seam belongs to none.
+    let detail = error.to_string();
+    let detail = detail.split_once(": ").map_or(detail.as_str(), |(_, rest)| rest);
+    let problem = Problem::new(Kind::ImpossibleConfiguration, detail);
+    match pair_of(error) {
+        Some(pair) => {
+            let pair = positions.get(pair).copied().unwrap_or(pair);
+            problem.at(format!("/seams/{pair}"))
+        }
+        None => problem,
     }
 }
 

@@ -11,6 +11,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::sync::Arc;
 use std::time::Instant;
+use sutura_proto::generation::PARAMETER_GENERATION;
 use sutura_proto::keys::{self, Resource};
 use sutura_proto::{bus, media};
 use sutura_store::{GenerationRef, SessionId};
@@ -144,11 +145,11 @@ async fn array(
     query: &Query,
 ) -> Result<(&'static str, Vec<u8>), Problem> {
     let parameters = query.parameters();
-    let generation = match parameters.get("generation") {
+    let generation = match parameters.get(PARAMETER_GENERATION) {
         Some(text) => command::generation_ref(text)?,
         None => GenerationRef::Current,
     };
-    let others = parameters.iter().filter(|(name, _)| !matches!(*name, "generation" | ""));
+    let others = parameters.iter().filter(|(name, _)| !matches!(*name, PARAMETER_GENERATION | ""));
     let params = ArrayParams::parse(others)?;
     let request = ArrayRequest { kind, generation, params, media: media::FRAME };
     Ok((media::FRAME, command::array(gateway, id, request).await?))

@@ -6,6 +6,7 @@ use sutura_core::build::Artifacts;
 use sutura_core::control::{self, Control};
 use sutura_proto::array::{Array, DType};
 use sutura_proto::frame::Frame;
+use sutura_proto::generation as names;
 use sutura_proto::{media, npy};
 use sutura_store::{Generation, StoreError};
 
@@ -94,34 +95,40 @@ fn assemble(
         Ok::<_, Problem>(elements.into_array(name, &[n, n_vertices, 3]))
     };
     Ok(match kind {
-        ArrayKind::Modes => vec![columns("modes", artifacts.n_modes(), &|i| artifacts.mode(i))?],
-        ArrayKind::Basis => vec![columns("basis", r, &|i| artifacts.basis_column(i))?],
-        ArrayKind::Mass => vec![array("mass", &[n_vertices], &artifacts.lumped_mass_kg())?],
+        ArrayKind::Modes => {
+            vec![columns(names::MODES, artifacts.n_modes(), &|i| artifacts.mode(i))?]
+        }
+        ArrayKind::Basis => vec![columns(names::BASIS, r, &|i| artifacts.basis_column(i))?],
+        ArrayKind::Mass => vec![array(names::MASS, &[n_vertices], &artifacts.lumped_mass_kg())?],
         ArrayKind::Transfer => {
             let old = old()?;
             let transfer = artifacts.transfer_from(old);
-            vec![array("transfer", &[r, old.basis_size()], &transfer)?]
+            vec![array(names::TRANSFER, &[r, old.basis_size()], &transfer)?]
         }
         ArrayKind::Delta => {
             let old = old()?;
             let delta = artifacts.delta_from(old);
             let n = delta.columns.len();
             vec![
-                columns("columns", n, &|i| delta.columns[i].clone())?,
-                array("w", &[old.basis_size() + n, r], &delta.w)?,
+                columns(names::DELTA_COLUMNS, n, &|i| delta.columns[i].clone())?,
+                array(names::DELTA_W, &[old.basis_size() + n, r], &delta.w)?,
             ]
         }
         ArrayKind::Evaluator => {
             let tables = artifacts.evaluator_tables();
             let p = tables.tets.len();
             vec![
-                Array::u32("tets", [p], tables.tets),
-                array("weights", &[p], &tables.weights)?,
-                array("volumes_m3", &[p], &tables.volumes_m3)?,
-                array("lame_pa", &[p, 2], &tables.lame_pa)?,
-                array("shape_gradients", &[p, 4, 3], &tables.shape_gradients)?,
-                array("basis_rows", &[p, 4, 3, tables.r], &tables.basis_rows)?,
-                array("stitch_stiffness", &[tables.r, tables.r], &tables.stitch_stiffness)?,
+                Array::u32(names::EVALUATOR_TETS, [p], tables.tets),
+                array(names::EVALUATOR_WEIGHTS, &[p], &tables.weights)?,
+                array(names::EVALUATOR_VOLUMES_M3, &[p], &tables.volumes_m3)?,
+                array(names::EVALUATOR_LAME_PA, &[p, 2], &tables.lame_pa)?,
+                array(names::EVALUATOR_SHAPE_GRADIENTS, &[p, 4, 3], &tables.shape_gradients)?,
+                array(names::EVALUATOR_BASIS_ROWS, &[p, 4, 3, tables.r], &tables.basis_rows)?,
+                array(
+                    names::EVALUATOR_STITCH_STIFFNESS,
+                    &[tables.r, tables.r],
+                    &tables.stitch_stiffness,
+                )?,
             ]
         }
     })

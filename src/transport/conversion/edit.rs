@@ -29,7 +29,7 @@ fn edit((position, edit): (usize, wire::Edit)) -> Result<Edit, Problem> {
             Kind::NotSupported,
             "scaling the stiffness of a domain is not supported by this version",
         )
-        .at(format!("/edits/{position}/scale_stiffness"))),
+        .at(format!("/edits/{position}"))),
     }
 }
 
@@ -166,7 +166,7 @@ mod tests {
         ];
         let problem = request(wire::EditRequest::new(edits)).unwrap_err();
         assert_eq!((problem.kind, problem.status()), (Kind::NotSupported, 422));
-        assert_eq!(problem.pointer.as_deref(), Some("/edits/1/scale_stiffness"));
+        assert_eq!(problem.pointer.as_deref(), Some("/edits/1"));
     }
 
     #[test]

@@ -10,7 +10,9 @@ use sutura_store::{
 /// The event as clients hear it; `None` for those of no interest to them, or overtaken by others.
 pub(crate) fn event(store: &Store, id: SessionId, kind: EventKind) -> Option<Event> {
     match kind {
-        EventKind::Created | EventKind::SimulationStarted | EventKind::SimulationStopped => None,
+        EventKind::Created => None,
+        EventKind::SimulationStarted => Some(Event::Simulation { running: true }),
+        EventKind::SimulationStopped => Some(Event::Simulation { running: false }),
         EventKind::State(SessionState::Failed) => {
             let error = store.info(id).ok()?.error?;
             Some(Event::Failed { error: problem::of_build(&error).to_document() })

@@ -5,9 +5,10 @@ use super::document::parse_json;
 use super::edit::stage_milliseconds;
 use crate::problem::{self, Kind, Problem};
 use bytes::Bytes;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use sutura_core::build::{BuildParams, CubatureParams, MassKind, RayleighDamping};
+use sutura_core::edit::{Edit, StitchSet};
 use sutura_core::material::Material;
 use sutura_core::mesh::{MeshFile, MeshFormat, MeshLimits, TetMesh};
 use sutura_proto::session::{
@@ -100,6 +101,7 @@ fn build_params(
         let detail = format!("vertex {vertex} is out of range, the mesh has {n_vertices} vertices");
         return Err(impossible(detail).at(format!("/fixed_vertices/{i}")));
     }
+    check_seams(config, mesh)?;
     let material_of = |label: &i64| {
         let given = config.domain_materials.get(label).or(config.material.as_ref());
         match (given, file_materials.get(label)) {
@@ -131,6 +133,22 @@ fn build_params(
         },
         seams: config.seams.clone(),
     })
+}
+
+/// Refuses candidate pairs that could never be stitched: here, because the build would find out
+/// only after this request has been answered.
+fn check_seams(config: &SessionConfig, mesh: &TetMesh) -> Result<(), Problem> {
+    let fixed: BTreeSet<u32> = config.fixed_vertices.iter().copied().collect();
+    // A pair named twice is prepared once.
+    let mut seen = BTreeSet::new();
+    let is_new = |(_, [a, b]): &(usize, [u32; 2])| seen.insert([*a.min(b), *a.max(b)]);
+    let (positions, pairs): (Vec<usize>, Vec<[u32; 2]>) =
+        config.seams.iter().copied().enumerate().filter(is_new).unzip();
+    let stitch = Edit::Stitch { pairs, stiffness_n_m: 1.0 };
+    match StitchSet::default().apply(&[stitch], mesh, |vertex| fixed.contains(&vertex)) {
+        Ok(_) => Ok(()),
+        Err(error) => Err(problem::of_seam(&error, &positions)),
+    }
 }
 
 fn material(
@@ -317,6 +335,9 @@ mod tests {
     fn indices_and_domains_are_checked_against_the_mesh() {
         let cases = [
             ("fixed_vertices", serde_json::json!([0, 4]), "/fixed_vertices/1"),
+            ("seams", serde_json::json!([[0, 0]]), "/seams/0"),
+            ("seams", serde_json::json!([[0, 1]]), "/seams/0"),
+            ("seams", serde_json::json!([[0, 9]]), "/seams/0"),
             (
                 "domain_materials",
                 serde_json::json!({"8": {"law": "stvk", "young_modulus_pa": 1e6,

@@ -4,11 +4,13 @@ use crate::command;
 use crate::conversion::document::parse_json;
 use crate::gateway::Gateway;
 use crate::problem::{Kind, Problem};
+use axum::body::{Body, HttpBody};
 use axum::extract::{FromRequest, FromRequestParts, Query, RawPathParams, Request};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, header};
 use axum::response::IntoResponse;
-use bytes::Bytes;
+use bytes::{Bytes, BytesMut};
+use futures_util::{Stream, StreamExt};
 use serde::de::DeserializeOwned;
 use sutura_proto::media;
 use sutura_store::{GenerationRef, SessionId};
@@ -16,6 +18,8 @@ use sutura_store::{GenerationRef, SessionId};
 /// Documents beyond this many bytes are parsed on the query pool: at some 100 MB/s, below it a
 /// document takes less than half a millisecond.
 const PARSE_AT_ONCE_BYTES: usize = 32 << 10;
+/// Bytes read past a limit and thrown away.
+const MAX_DISCARDED_BYTES: usize = 64 << 20;
 
 /// The session that the path names. Whether it exists is for the store to say.
 pub(super) struct InSession(pub(super) SessionId);
@@ -62,6 +66,19 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Params<T> {
     }
 }
 
+/// A JSON body, or the default where there is no body at all.
+pub(super) struct DocumentOrDefault<T>(pub(super) T);
+
+impl<T: DeserializeOwned + Default + Send + 'static> FromRequest<Gateway> for DocumentOrDefault<T> {
+    type Rejection = Problem;
+    async fn from_request(request: Request, gateway: &Gateway) -> Result<Self, Problem> {
+        if request.body().is_end_stream() {
+            return Ok(DocumentOrDefault(T::default()));
+        }
+        Document::from_request(request, gateway).await.map(|Document(body)| DocumentOrDefault(body))
+    }
+}
+
 /// A JSON body.
 pub(super) struct Document<T>(pub(super) T);
 
@@ -72,7 +89,8 @@ impl<T: DeserializeOwned + Send + 'static> FromRequest<Gateway> for Document<T> 
             let detail = format!("this takes a document of type {}", media::JSON);
             return Err(Problem::new(Kind::UnsupportedMediaType, detail));
         }
-        let body = receive(gateway, Bytes::from_request(request, gateway)).await?;
+        let limit = gateway.limits().max_document_bytes;
+        let body = receive(gateway, request.into_body(), limit).await?;
         if body.len() <= PARSE_AT_ONCE_BYTES {
             return parse_json(&body).map(Document);
         }
@@ -81,47 +99,51 @@ impl<T: DeserializeOwned + Send + 'static> FromRequest<Gateway> for Document<T> 
     }
 }
 
-/// Waits for (a part of) a body to arrive, and gives up on clients that are too slow.
-pub(super) async fn receive<T, E: Into<BodyFault>>(
+/// Reads a body of at most `limit` bytes, within the time that clients are given.
+pub(super) async fn receive(gateway: &Gateway, body: Body, limit: usize) -> Result<Bytes, Problem> {
+    let broken = |error: axum::Error| {
+        Problem::new(Kind::MalformedDocument, format!("the body broke off: {error}"))
+    };
+    in_time(gateway, gather(body.into_data_stream(), limit, broken)).await
+}
+
+/// Gives up on clients that take too long to send.
+pub(super) async fn in_time<T>(
     gateway: &Gateway,
-    arriving: impl Future<Output = Result<T, E>>,
+    arriving: impl Future<Output = Result<T, Problem>>,
 ) -> Result<T, Problem> {
     let limit = gateway.limits().max_receive_time;
-    match tokio::time::timeout(limit, arriving).await {
-        Ok(received) => received.map_err(|error| error.into().0),
-        Err(_) => {
-            let detail = format!("the body had not arrived after {} s", limit.as_secs());
-            Err(Problem::new(Kind::ReceiveTimeout, detail))
+    tokio::time::timeout(limit, arriving).await.unwrap_or_else(|_| {
+        let detail = format!("the body had not arrived after {} s", limit.as_secs());
+        Err(Problem::new(Kind::ReceiveTimeout, detail))
+    })
+}
+
+/// Joins pieces as they arrive; never holds more than `limit` bytes. Beyond the limit it reads on
+/// for a while, because a client that is still sending would not read the refusal.
+pub(super) async fn gather<E>(
+    mut pieces: impl Stream<Item = Result<Bytes, E>> + Unpin,
+    limit: usize,
+    broken: impl Fn(E) -> Problem,
+) -> Result<Bytes, Problem> {
+    let mut bytes = BytesMut::new();
+    let mut size = 0;
+    while let Some(piece) = pieces.next().await {
+        let piece = piece.map_err(&broken)?;
+        size += piece.len();
+        if size <= limit {
+            bytes.extend_from_slice(&piece);
+        } else if size > limit.saturating_add(MAX_DISCARDED_BYTES) {
+            break;
+        } else {
+            bytes = BytesMut::new();
         }
     }
-}
-
-/// A body that could not be received.
-pub(super) struct BodyFault(pub(super) Problem);
-
-impl From<axum::extract::rejection::BytesRejection> for BodyFault {
-    fn from(error: axum::extract::rejection::BytesRejection) -> BodyFault {
-        body_fault(error.status().as_u16(), error.body_text())
+    if size > limit {
+        let detail = format!("more than {limit} bytes, the most that is accepted here");
+        return Err(Problem::new(Kind::TooLarge, detail));
     }
-}
-
-impl From<axum::extract::multipart::MultipartError> for BodyFault {
-    fn from(error: axum::extract::multipart::MultipartError) -> BodyFault {
-        body_fault(error.status().as_u16(), error.body_text())
-    }
-}
-
-impl From<Problem> for BodyFault {
-    fn from(problem: Problem) -> BodyFault {
-        BodyFault(problem)
-    }
-}
-
-fn body_fault(status: u16, detail: String) -> BodyFault {
-    match status {
-        413 => BodyFault(Problem::new(Kind::TooLarge, format!("the body is too large: {detail}"))),
-        _ => BodyFault(Problem::new(Kind::MalformedDocument, detail)),
-    }
+    Ok(bytes.freeze())
 }
 
 /// The media type of the body, without its parameters.

@@ -14,7 +14,7 @@ mod session;
 mod simulation;
 mod stream;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod upload;
 
 pub use openapi::document as openapi_document;

@@ -4,18 +4,24 @@
 use crate::problem::Kind;
 use std::collections::BTreeMap;
 use sutura_proto::media::{EVENT_STREAM, FRAME, JSON, NPY, PROBLEM_JSON, STATE};
-use sutura_proto::{Problem, edit, evaluate, event, session, simulation};
+use sutura_proto::openapi::Components;
 use utoipa::OpenApi as _;
 use utoipa::openapi::path::{
     HttpMethod, Operation, OperationBuilder, Parameter, ParameterBuilder, ParameterIn,
 };
 use utoipa::openapi::request_body::{RequestBody, RequestBodyBuilder};
 use utoipa::openapi::schema::{KnownFormat, ObjectBuilder, SchemaFormat, Type};
-use utoipa::openapi::{Content, OpenApi, Ref, Required, Response, ResponseBuilder};
+use utoipa::openapi::{Content, Info, OpenApi, Ref, Required, Response, ResponseBuilder};
 
 /// The description of every route.
 pub fn document() -> OpenApi {
-    let mut document = Documents::openapi();
+    let mut document = Components::openapi();
+    document.info = Info::new("Sutura", env!("CARGO_PKG_VERSION"));
+    document.info.description = Some(
+        "Keeps deformable bodies ready for interactive editing. Errors are RFC 9457 problem \
+         documents; every answer carries x-request-id."
+            .to_owned(),
+    );
     for route in ROUTES {
         document.paths.add_path_operation(
             route.path,
@@ -25,30 +31,6 @@ pub fn document() -> OpenApi {
     }
     document
 }
-
-#[derive(utoipa::OpenApi)]
-#[openapi(
-    info(
-        title = "Sutura",
-        description = "Keeps deformable bodies ready for interactive editing. Errors are RFC 9457 \
-                       problem documents; every answer carries x-request-id."
-    ),
-    components(schemas(
-        Problem,
-        edit::EditReply,
-        edit::EditRequest,
-        evaluate::EvaluateReply,
-        evaluate::EvaluateRequest,
-        event::Event,
-        session::SessionConfig,
-        session::SessionInfo,
-        session::SessionList,
-        simulation::ForceRequest,
-        simulation::SimulationConfig,
-        simulation::SimulationInfo,
-    ))
-)]
-struct Documents;
 
 struct Route {
     method: HttpMethod,
@@ -127,7 +109,7 @@ const ROUTES: &[Route] = &[
         path: "/v1/sessions/{id}/fork",
         summary: "Open a session with the same generations, sharing every artifact",
         query: &[],
-        request: Body::Empty,
+        request: Body::Json("ForkRequest"),
         status: 201,
         reply: Body::Json("SessionInfo"),
         problems: &[Kind::NotReady, Kind::Full],

@@ -25,7 +25,7 @@ pub(super) async fn readyz(State(gateway): State<Gateway>) -> Result<&'static st
 
 /// GET /metrics
 pub(super) async fn metrics(State(gateway): State<Gateway>) -> impl IntoResponse {
-    metrics::sessions(gateway.store().n_sessions());
+    metrics::load(gateway.store().load());
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], gateway.recorder().render())
 }
 

@@ -1,6 +1,6 @@
 //! Sessions: open, describe, list, fork, delete.
 
-use super::extract::{InSession, Params};
+use super::extract::{DocumentOrDefault, InSession, Params};
 use super::upload::upload;
 use crate::command;
 use crate::conversion::session;
@@ -12,7 +12,7 @@ use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use std::time::Duration;
-use sutura_proto::session::{SessionInfo, SessionList};
+use sutura_proto::session::{ForkRequest, SessionInfo, SessionList};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -107,7 +107,9 @@ pub(super) async fn delete(
 pub(super) async fn fork(
     State(gateway): State<Gateway>,
     InSession(id): InSession,
+    DocumentOrDefault(request): DocumentOrDefault<ForkRequest>,
 ) -> Result<Response, Problem> {
-    let fork = gateway.store().fork(id, None)?;
+    request.validate()?;
+    let fork = gateway.store().fork(id, request.name)?;
     Ok(made(StatusCode::CREATED, command::info(&gateway, fork)?))
 }

@@ -30,8 +30,10 @@ pub(super) async fn stream(
     InSession(id): InSession,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<Response, Problem> {
-    let upgrade =
-        upgrade.map_err(|error| Problem::new(Kind::UpgradeRequired, error.body_text()))?;
+    let upgrade = upgrade.map_err(|error| {
+        let detail = format!("this is a WebSocket: {}", error.body_text());
+        Problem::new(Kind::UpgradeRequired, detail)
+    })?;
     let frames = gateway.store().subscribe_frames(id)?;
     let place = gateway.admit_stream()?;
     let upgrade = upgrade

@@ -1,12 +1,13 @@
 //! Receiving a session's configuration and mesh: one JSON document, or multipart with a file.
 
-use super::extract::{media_type, receive};
+use super::extract::{gather, in_time, media_type, receive};
 use crate::conversion::session::{Upload, UploadedFile};
 use crate::gateway::Gateway;
 use crate::problem::{Kind, Problem};
-use axum::extract::multipart::{Field, Multipart};
+use axum::extract::multipart::{Field, Multipart, MultipartError};
 use axum::extract::{DefaultBodyLimit, FromRequest, Request};
-use bytes::{Bytes, BytesMut};
+use axum::http::StatusCode;
+use bytes::Bytes;
 use sutura_proto::media;
 
 /// The whole upload, within the limits of its kind.
@@ -14,8 +15,7 @@ pub(super) async fn upload(gateway: &Gateway, mut request: Request) -> Result<Up
     match media_type(request.headers()) {
         Some(media::JSON) => {
             let limit = gateway.limits().max_inline_mesh_bytes;
-            DefaultBodyLimit::max(limit).apply(&mut request);
-            let config = receive(gateway, Bytes::from_request(request, gateway)).await?;
+            let config = receive(gateway, request.into_body(), limit).await?;
             Ok(Upload { config, file: None })
         }
         Some("multipart/form-data") => {
@@ -26,7 +26,7 @@ pub(super) async fn upload(gateway: &Gateway, mut request: Request) -> Result<Up
             let parts = Multipart::from_request(request, gateway)
                 .await
                 .map_err(|error| Problem::new(Kind::MalformedDocument, error.body_text()))?;
-            receive(gateway, multipart(gateway, parts)).await
+            in_time(gateway, multipart(gateway, parts)).await
         }
         _ => {
             let detail = "send application/json, or multipart/form-data with the parts mesh and \
@@ -58,27 +58,17 @@ async fn multipart(gateway: &Gateway, mut parts: Multipart) -> Result<Upload, Pr
     Ok(Upload { config, file })
 }
 
-/// One part, read piece by piece so that no more than `limit` bytes are ever held.
-async fn part(mut field: Field<'_>, pointer: &str, limit: usize) -> Result<Bytes, Problem> {
-    let mut bytes = BytesMut::new();
-    while let Some(piece) = field.chunk().await.map_err(malformed)? {
-        if bytes.len() + piece.len() > limit {
-            return Err(too_large(pointer, limit));
-        }
-        bytes.extend_from_slice(&piece);
-    }
-    Ok(bytes.freeze())
-}
-
-fn too_large(pointer: &str, limit: usize) -> Problem {
-    let detail = format!("the upload is larger than {limit} bytes, the most that is accepted");
-    Problem::new(Kind::TooLarge, detail).at(pointer)
+async fn part(field: Field<'_>, pointer: &str, limit: usize) -> Result<Bytes, Problem> {
+    gather(field, limit, malformed).await.map_err(|problem| problem.at(pointer))
 }
 
 fn parts_fault(detail: String) -> Problem {
     Problem::new(Kind::MalformedDocument, detail)
 }
 
-fn malformed(error: axum::extract::multipart::MultipartError) -> Problem {
-    super::extract::BodyFault::from(error).0
+fn malformed(error: MultipartError) -> Problem {
+    match error.status() {
+        StatusCode::PAYLOAD_TOO_LARGE => Problem::new(Kind::TooLarge, error.body_text()),
+        _ => Problem::new(Kind::MalformedDocument, error.body_text()),
+    }
 }
