@@ -1,6 +1,6 @@
 //! The commands that both transports offer: wire request in, wire reply or problem out.
 
-use crate::conversion::array::{self, ArrayKind, Reference};
+use crate::conversion::array::{self, ArrayForm, ArrayKind, Reference};
 use crate::conversion::{edit, session, simulation};
 use crate::gateway::Gateway;
 use crate::problem::{Kind, Problem};
@@ -37,6 +37,22 @@ pub(crate) fn generation_ref(text: &str) -> Result<GenerationRef, Problem> {
             )
         }),
     }
+}
+
+/// Documents beyond this many bytes are parsed on the query pool: at some 100 MB/s, below it a
+/// document takes less than half a millisecond.
+const PARSE_AT_ONCE_BYTES: usize = 32 << 10;
+
+/// Runs `parse` on a document of `n_bytes`, on the query pool if it is large.
+pub(crate) async fn parse<T: Send + 'static>(
+    gateway: &Gateway,
+    n_bytes: usize,
+    parse: impl FnOnce() -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
+    if n_bytes <= PARSE_AT_ONCE_BYTES {
+        return parse();
+    }
+    gateway.store().compute("parsing a document", move |_| parse()).await?
 }
 
 /// What is known of a session now.
@@ -87,6 +103,8 @@ pub(crate) struct ArrayRequest {
     pub(crate) generation: GenerationRef,
     pub(crate) params: ArrayParams,
     pub(crate) media: &'static str,
+    /// Largest array that may be sent.
+    pub(crate) max_bytes: usize,
 }
 
 /// An array of a generation as bytes.
@@ -95,11 +113,12 @@ pub(crate) async fn array(
     id: SessionId,
     request: ArrayRequest,
 ) -> Result<Vec<u8>, Problem> {
-    let ArrayRequest { kind, params, media, .. } = request;
+    let ArrayRequest { kind, params, media, max_bytes, .. } = request;
+    let form = ArrayForm { dtype: params.dtype, media, max_bytes };
     let generation = gateway.store().generation(id, request.generation)?;
     let reference = reference(gateway, id, kind, &generation, params)?;
     let job = move |control: &dyn sutura_core::control::Control| {
-        array::encode(kind, &generation, reference.as_deref(), params.dtype, media, control)
+        array::encode(kind, &generation, reference.as_deref(), form, control)
     };
     gateway.store().compute("assembling an array", job).await?
 }

@@ -24,6 +24,12 @@ pub struct Limits {
     pub max_ready_wait: Duration,
     /// Sessions on one page of the list.
     pub max_page: usize,
+    /// Numbers in the answer to one evaluation request: poses × basis size².
+    pub max_evaluation_numbers: usize,
+    /// Largest array sent over HTTP, in bytes.
+    pub max_array_bytes: usize,
+    /// Largest array sent over Zenoh, in bytes: clients bound the messages they accept.
+    pub max_bus_array_bytes: usize,
     /// WebSocket and event streams open at the same time.
     pub max_streams: usize,
     /// How long one frame may take to be sent before its stream is closed.
@@ -44,6 +50,9 @@ impl Default for Limits {
             max_receive_time: Duration::from_secs(120),
             max_ready_wait: Duration::from_secs(600),
             max_page: 200,
+            max_evaluation_numbers: 4 << 20,
+            max_array_bytes: 1 << 30,
+            max_bus_array_bytes: 120 << 20,
             max_streams: 256,
             max_send_wait: Duration::from_secs(10),
             max_queries: 64,

@@ -152,6 +152,13 @@ impl Problem {
         self.kind.status()
     }
 
+    /// Leaves a trace of what is our own fault.
+    pub(crate) fn log(&self) {
+        if self.kind == Kind::Internal {
+            tracing::error!(self.detail, "a request met a defect");
+        }
+    }
+
     /// The document as it travels.
     pub(crate) fn to_document(&self) -> sutura_proto::Problem {
         let (status, name, title) = self.kind.row();

@@ -16,18 +16,18 @@ pub use config::{BusConfig, BusError};
 
 use crate::gateway::Gateway;
 use config::{check_daemon_name, endpoint, resolve, zenoh_config};
+use query::Queries;
 use std::net::SocketAddr;
 use sutura_proto::keys;
 use tokio::task::JoinSet;
 use zenoh::liveliness::LivelinessToken;
-use zenoh::query::Queryable;
 
 /// An open door to Zenoh. Dropping it without [`Bus::close`] closes it without ceremony.
 pub struct Bus {
     zenoh_session: zenoh::Session,
     address: SocketAddr,
     alive: LivelinessToken,
-    queryables: Vec<Queryable<()>>,
+    queries: Queries,
     tasks: JoinSet<()>,
 }
 
@@ -38,14 +38,14 @@ pub async fn open(gateway: &Gateway, config: BusConfig) -> Result<Bus, BusError>
     let address = resolve(config.listen)?;
     let zenoh_session = zenoh::open(zenoh_config(&config, address)?).await?;
     let mut tasks = JoinSet::new();
-    let queryables = query::declare(gateway, &zenoh_session).await?;
+    let queries = query::declare(gateway, &zenoh_session).await?;
     let forces = publication::subscribe_forces(&zenoh_session).await?;
     tasks.spawn(publication::hear_forces(gateway.clone(), forces));
     tasks.spawn(publication::publish(gateway.clone(), zenoh_session.clone()));
     // Last, so that whoever hears of the daemon finds it complete.
     let key = keys::daemon(&config.daemon).ok_or(BusError::DaemonName(config.daemon))?;
     let alive = zenoh_session.liveliness().declare_token(key).await?;
-    Ok(Bus { zenoh_session, address, alive, queryables, tasks })
+    Ok(Bus { zenoh_session, address, alive, queries, tasks })
 }
 
 impl Bus {
@@ -59,13 +59,12 @@ impl Bus {
         self.address
     }
 
-    /// Leaves Zenoh: says goodbye, takes no new query, stops publishing, closes.
+    /// Leaves Zenoh: says goodbye, takes no new query, answers those under way, stops publishing,
+    /// closes. An edit under way may take long: callers with a deadline drop the future.
     pub async fn close(self) -> Result<(), BusError> {
-        let Bus { zenoh_session, alive, queryables, mut tasks, .. } = self;
+        let Bus { zenoh_session, alive, queries, mut tasks, .. } = self;
         alive.undeclare().await?;
-        for queryable in queryables {
-            queryable.undeclare().await?;
-        }
+        queries.finish().await?;
         tasks.shutdown().await;
         zenoh_session.close().await?;
         Ok(())

@@ -155,7 +155,7 @@ async fn publish_generation(
 /// what cannot be used is logged.
 pub(super) async fn hear_forces(gateway: Gateway, subscriber: ForceSubscriber) {
     while let Ok(sample) = subscriber.recv_async().await {
-        if let Err(problem) = push_forces(&gateway, &sample) {
+        if let Err(problem) = push_forces(&gateway, &sample).await {
             tracing::warn!(key = %sample.key_expr(), problem.detail, "forces were refused");
         }
     }
@@ -173,10 +173,10 @@ pub(super) async fn subscribe_forces(zenoh_session: &Session) -> zenoh::Result<F
 }
 
 /// Hands the forces of one message to their session.
-fn push_forces(gateway: &Gateway, sample: &Sample) -> Result<(), Problem> {
+async fn push_forces(gateway: &Gateway, sample: &Sample) -> Result<(), Problem> {
     let (id, _) = keys::parse_session(sample.key_expr())
         .ok_or_else(|| Problem::new(Kind::MalformedParameter, "forces are for one session"))?;
     let form = Form::of(Some(sample.encoding()))?;
-    let request = form.parse(gateway, Some(sample.payload()))?;
+    let request = form.parse(gateway, Some(sample.payload())).await?;
     command::push_forces(gateway, command::session_id(id)?, request)
 }

@@ -33,22 +33,40 @@ const RESOURCES: [Resource; 8] = [
     Resource::Mass,
 ];
 
+/// The queryables, and the places of the queries under way.
+pub(super) struct Queries {
+    queryables: Vec<Queryable<()>>,
+    places: Arc<Semaphore>,
+    n_places: usize,
+}
+
+impl Queries {
+    /// Takes no new query and answers those under way.
+    pub(super) async fn finish(self) -> zenoh::Result<()> {
+        for queryable in self.queryables {
+            queryable.undeclare().await?;
+        }
+        let n_places = u32::try_from(self.n_places).unwrap_or(u32::MAX);
+        // Fails only when the semaphore is closed, which nobody does.
+        let _ = self.places.acquire_many(n_places).await;
+        Ok(())
+    }
+}
+
 /// Declares one queryable for each resource, for all sessions at once. Not `complete`: another
 /// daemon on the same network may hold the session that is asked for.
-pub(super) async fn declare(
-    gateway: &Gateway,
-    zenoh_session: &Session,
-) -> zenoh::Result<Vec<Queryable<()>>> {
+pub(super) async fn declare(gateway: &Gateway, zenoh_session: &Session) -> zenoh::Result<Queries> {
     let runtime = Handle::current();
-    let places = Arc::new(Semaphore::new(gateway.limits().max_queries));
-    let refusals = Arc::new(Semaphore::new(gateway.limits().max_queries));
+    let n_places = gateway.limits().max_queries;
+    let places = Arc::new(Semaphore::new(n_places));
+    let refusals = Arc::new(Semaphore::new(n_places));
     let mut queryables = Vec::new();
     for resource in RESOURCES {
         let (gateway, runtime) = (gateway.clone(), runtime.clone());
-        let (places, refusals) = (Arc::clone(&places), Arc::clone(&refusals));
+        let (turns, refusals) = (Arc::clone(&places), Arc::clone(&refusals));
         let hand_over = move |query: Query| {
             let gateway = gateway.clone();
-            if let Ok(place) = Arc::clone(&places).try_acquire_owned() {
+            if let Ok(place) = Arc::clone(&turns).try_acquire_owned() {
                 runtime.spawn(async move {
                     serve(&gateway, resource, query).await;
                     drop(place);
@@ -64,7 +82,7 @@ pub(super) async fn declare(
         let key = keys::every_session(resource);
         queryables.push(zenoh_session.declare_queryable(key).callback(hand_over).await?);
     }
-    Ok(queryables)
+    Ok(Queries { queryables, places, n_places })
 }
 
 /// What goes back under one key.
@@ -78,6 +96,9 @@ async fn serve(gateway: &Gateway, resource: Resource, query: Query) {
     let begun = Instant::now();
     let answers = answer(gateway, resource, &query).await;
     let status = answers.as_ref().map_or_else(Problem::status, |_| 200);
+    if let Err(problem) = &answers {
+        problem.log();
+    }
     reply(query, answers).await;
     metrics::bus_query(resource.name(), status, begun.elapsed());
 }
@@ -133,7 +154,7 @@ async fn edit(
     query: &Query,
 ) -> Result<(&'static str, Vec<u8>), Problem> {
     let form = Form::of(query.encoding())?;
-    let request = form.parse(gateway, query.payload())?;
+    let request = form.parse(gateway, query.payload()).await?;
     let reply = command::edit(gateway, id, request).await?;
     Ok((form.media(), form.write(&reply)?))
 }
@@ -151,7 +172,13 @@ async fn array(
     };
     let others = parameters.iter().filter(|(name, _)| !matches!(*name, PARAMETER_GENERATION | ""));
     let params = ArrayParams::parse(others)?;
-    let request = ArrayRequest { kind, generation, params, media: media::FRAME };
+    let request = ArrayRequest {
+        kind,
+        generation,
+        params,
+        media: media::FRAME,
+        max_bytes: gateway.limits().max_bus_array_bytes,
+    };
     Ok((media::FRAME, command::array(gateway, id, request).await?))
 }
 
@@ -201,7 +228,7 @@ impl Form {
     }
 
     /// Reads a payload within the limit for documents.
-    pub(super) fn parse<T: DeserializeOwned>(
+    pub(super) async fn parse<T: DeserializeOwned + Send + 'static>(
         self,
         gateway: &Gateway,
         payload: Option<&ZBytes>,
@@ -210,14 +237,17 @@ impl Form {
             return Err(Problem::new(Kind::MalformedDocument, "the query carries no document"));
         };
         let limit = gateway.limits().max_document_bytes;
-        if payload.len() > limit {
-            let detail = format!("the document has {} bytes, at most {limit}", payload.len());
+        let n_bytes = payload.len();
+        if n_bytes > limit {
+            let detail = format!("the document has {n_bytes} bytes, at most {limit}");
             return Err(Problem::new(Kind::TooLarge, detail));
         }
-        match self {
+        let payload = payload.clone();
+        let parse = move || match self {
             Form::Json => parse_json(&payload.to_bytes()),
             Form::Bincode => parse_bincode(&payload.to_bytes()),
-        }
+        };
+        command::parse(gateway, n_bytes, parse).await
     }
 
     fn write(self, document: &impl Serialize) -> Result<Vec<u8>, Problem> {

@@ -48,17 +48,16 @@ pub(crate) enum Reference {
     Required,
 }
 
-/// `kind` of `generation` (relative to `reference`, where it depends on one) as `media` type bytes.
+/// `kind` of `generation` (relative to `reference`, where it depends on one) as bytes.
 pub(crate) fn encode(
     kind: ArrayKind,
     generation: &Generation,
     reference: Option<&Generation>,
-    dtype: DType,
-    media: &str,
+    form: ArrayForm,
     control: &dyn Control,
 ) -> Result<Vec<u8>, Problem> {
-    let arrays = assemble(kind, &generation.artifacts, reference, dtype, control)?;
-    let encoded = match (media, &arrays[..]) {
+    let arrays = assemble(kind, &generation.artifacts, reference, form, control)?;
+    let encoded = match (form.media, &arrays[..]) {
         (media::NPY, [array]) => npy::encode(array).map_err(|error| error.to_string()),
         _ => Frame { generation: generation.number, arrays }
             .encode()
@@ -71,7 +70,7 @@ fn assemble(
     kind: ArrayKind,
     artifacts: &Artifacts,
     reference: Option<&Generation>,
-    dtype: DType,
+    form: ArrayForm,
     control: &dyn Control,
 ) -> Result<Vec<Array<'static>>, Problem> {
     let n_vertices = artifacts.mesh().vertices().len();
@@ -82,12 +81,12 @@ fn assemble(
             .ok_or_else(|| Problem::new(Kind::Internal, "no generation to relate to"))
     };
     let array = |name, shape: &[usize], values: &[f64]| {
-        let mut elements = Elements::with_capacity(dtype, values.len());
+        let mut elements = form.elements(name, values.len())?;
         elements.extend(name, values)?;
         Ok::<_, Problem>(elements.into_array(name, shape))
     };
     let columns = |name, n, column: &dyn Fn(usize) -> Vec<f64>| {
-        let mut elements = Elements::with_capacity(dtype, n * 3 * n_vertices);
+        let mut elements = form.elements(name, n * 3 * n_vertices)?;
         for i in 0..n {
             control::check(control).map_err(|_| StoreError::Cancelled)?;
             elements.extend(name, &column(i))?;
@@ -132,6 +131,30 @@ fn assemble(
             ]
         }
     })
+}
+
+/// How arrays travel.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ArrayForm {
+    /// Type of floating-point elements.
+    pub(crate) dtype: DType,
+    /// Media type.
+    pub(crate) media: &'static str,
+    /// Largest array that may be sent.
+    pub(crate) max_bytes: usize,
+}
+
+impl ArrayForm {
+    /// Room for `n` elements, unless they would be too many bytes.
+    fn elements(self, name: &str, n: usize) -> Result<Elements, Problem> {
+        let n_bytes = n.saturating_mul(self.dtype.size());
+        if n_bytes > self.max_bytes {
+            let limit = self.max_bytes;
+            let detail = format!("{name} has {n_bytes} bytes, at most {limit} are sent at once");
+            return Err(Problem::new(Kind::TooLarge, detail));
+        }
+        Ok(Elements::with_capacity(self.dtype, n))
+    }
 }
 
 /// Elements of an array in the type that the client asked for.
@@ -192,6 +215,15 @@ mod tests {
         }
         for kind in [ArrayKind::Delta, ArrayKind::Evaluator] {
             assert_eq!(kind.offered(), [media::FRAME]);
+        }
+    }
+
+    #[test]
+    fn arrays_beyond_the_limit_are_refused_before_they_are_made() {
+        let form = ArrayForm { dtype: DType::F64, media: media::NPY, max_bytes: 16 };
+        assert!(form.elements("x", 2).is_ok());
+        for n in [3, usize::MAX] {
+            assert_eq!(form.elements("x", n).err().unwrap().status(), 413);
         }
     }
 

@@ -15,9 +15,6 @@ use serde::de::DeserializeOwned;
 use sutura_proto::media;
 use sutura_store::{GenerationRef, SessionId};
 
-/// Documents beyond this many bytes are parsed on the query pool: at some 100 MB/s, below it a
-/// document takes less than half a millisecond.
-const PARSE_AT_ONCE_BYTES: usize = 32 << 10;
 /// Bytes read past a limit and thrown away.
 const MAX_DISCARDED_BYTES: usize = 64 << 20;
 
@@ -91,11 +88,7 @@ impl<T: DeserializeOwned + Send + 'static> FromRequest<Gateway> for Document<T> 
         }
         let limit = gateway.limits().max_document_bytes;
         let body = receive(gateway, request.into_body(), limit).await?;
-        if body.len() <= PARSE_AT_ONCE_BYTES {
-            return parse_json(&body).map(Document);
-        }
-        let job = move |_: &dyn sutura_core::control::Control| parse_json(&body).map(Document);
-        gateway.store().compute("parsing a document", job).await?
+        command::parse(gateway, body.len(), move || parse_json(&body).map(Document)).await
     }
 }
 

@@ -25,7 +25,8 @@ pub(super) fn get(kind: ArrayKind) -> MethodRouter<Gateway> {
                 let detail = format!("this travels as {}", kind.offered().join(" or "));
                 Problem::new(Kind::NotAcceptable, detail)
             })?;
-            let request = ArrayRequest { kind, generation, params, media };
+            let max_bytes = gateway.limits().max_array_bytes;
+            let request = ArrayRequest { kind, generation, params, media, max_bytes };
             let bytes = command::array(&gateway, id, request).await?;
             let headers = [(header::CONTENT_TYPE, media), (header::VARY, "accept")];
             Ok::<_, Problem>((headers, bytes).into_response())

@@ -14,7 +14,8 @@ use tower_http::ServiceBuilderExt;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::csrf::{CsrfLayer, ProtectionError};
 use tower_http::request_id::MakeRequestUuid;
-use tower_http::trace::TraceLayer;
+use tower_http::trace::{DefaultOnFailure, TraceLayer};
+use tracing::Level;
 
 static REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
@@ -23,11 +24,15 @@ const MAX_REQUEST_ID_BYTES: usize = 128;
 
 /// Surrounds `router` with everything that holds for all routes, the outermost first.
 pub(super) fn surround(router: Router) -> Router {
+    // Load that is shed counts as a failure too, and must not flood the log.
+    let trace = TraceLayer::new_for_http()
+        .make_span_with(span)
+        .on_failure(DefaultOnFailure::new().level(Level::DEBUG));
     router.layer(
         ServiceBuilder::new()
             .layer(from_fn(drop_unusable_request_id))
             .set_x_request_id(MakeRequestUuid)
-            .layer(TraceLayer::new_for_http().make_span_with(span))
+            .layer(trace)
             .propagate_x_request_id()
             .layer(from_fn(measure))
             .layer(CatchPanicLayer::custom(panicked))

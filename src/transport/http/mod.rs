@@ -17,7 +17,6 @@ mod stream;
 pub(crate) mod tests;
 mod upload;
 
-pub use openapi::document as openapi_document;
 pub use router::router;
 
 use crate::gateway::Gateway;
@@ -25,6 +24,7 @@ use crate::metrics;
 use crate::problem::Problem;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use axum::serve::ListenerExt;
 use std::future::Future;
 use sutura_proto::media;
 use tokio::net::TcpListener;
@@ -43,6 +43,12 @@ pub async fn serve(
         stop.await;
         gateway.wind_down();
     };
+    // Published states are small and must not wait for more to come.
+    let listener = listener.tap_io(|stream| {
+        if let Err(error) = stream.set_nodelay(true) {
+            tracing::debug!(%error, "a connection keeps gathering small writes");
+        }
+    });
     let served = axum::serve(listener, router).with_graceful_shutdown(stopping).await;
     upkeep.abort();
     observe.abort();
@@ -51,6 +57,7 @@ pub async fn serve(
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
+        self.log();
         let status =
             StatusCode::from_u16(self.status()).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
         let content_type = HeaderValue::from_static(media::PROBLEM_JSON);

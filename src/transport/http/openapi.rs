@@ -14,7 +14,7 @@ use utoipa::openapi::schema::{KnownFormat, ObjectBuilder, SchemaFormat, Type};
 use utoipa::openapi::{Content, Info, OpenApi, Ref, Required, Response, ResponseBuilder};
 
 /// The description of every route.
-pub fn document() -> OpenApi {
+pub(super) fn document() -> OpenApi {
     let mut document = Components::openapi();
     document.info = Info::new("Sutura", env!("CARGO_PKG_VERSION"));
     document.info.description = Some(
@@ -251,7 +251,7 @@ const fn array(
         request: Body::Empty,
         status: 200,
         reply: Body::Bytes(media),
-        problems: &[Kind::NotReady, Kind::NotAcceptable, Kind::ImpossibleValue],
+        problems: &[Kind::NotReady, Kind::NotAcceptable, Kind::TooLarge, Kind::ImpossibleValue],
     }
 }
 

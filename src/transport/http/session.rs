@@ -31,7 +31,13 @@ pub(super) async fn create(
     let id = command::create(&gateway, upload(&gateway, request).await?).await?;
     drop(place);
     let info = match wait {
-        Some(wait) => session::info(&gateway.store().wait_ready(id, wait).await?),
+        Some(wait) => {
+            // A daemon that goes down answers at once with how things stand.
+            tokio::select! {
+                info = gateway.store().wait_ready(id, wait) => session::info(&info?),
+                () = gateway.wound_down() => command::info(&gateway, id)?,
+            }
+        }
         None => command::info(&gateway, id)?,
     };
     Ok(made(StatusCode::ACCEPTED, info))

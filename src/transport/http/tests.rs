@@ -1,7 +1,8 @@
 //! The router against a real store: every route that the description names, and what happens to
 //! requests that cannot be served.
 
-use super::{openapi_document, router, router::paths};
+use super::openapi::document as openapi_document;
+use super::{router, router::paths};
 use crate::{Gateway, Limits, metrics};
 use axum::Router;
 use axum::body::{Body, to_bytes};
