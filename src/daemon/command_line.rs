@@ -2,6 +2,7 @@
 
 use crate::config::{Config, ConfigError, LogFormat, ZenohEndpoint};
 use crate::demo::{DemoArgs, SUBSCRIBER_COMMAND, SubscriberArgs};
+use clap::builder::FalseyValueParser;
 use clap::{Args, Parser, Subcommand};
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -44,7 +45,7 @@ pub(crate) struct ServeArgs {
     #[arg(long, env = "SUTURA_LOG", value_name = "FILTER")]
     pub(crate) log: Option<String>,
     /// Log one JSON object a line.
-    #[arg(long, env = "SUTURA_JSON")]
+    #[arg(long, env = "SUTURA_JSON", value_parser = FalseyValueParser::new())]
     pub(crate) json: bool,
 }
 

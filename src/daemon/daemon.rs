@@ -59,6 +59,11 @@ impl Daemon {
         let refused = |source| StartError::Http { address, source };
         let listener = TcpListener::bind(address).await.map_err(refused)?;
         let http_address = listener.local_addr().map_err(refused)?;
+        for address in [address, config.zenoh.listen.0] {
+            if !address.ip().is_loopback() {
+                tracing::warn!(%address, "open to the network, and nobody is asked who they are");
+            }
+        }
         let bus = bus::open(&gateway, config.zenoh.bus()).await?;
         let (stop_http, stopped) = oneshot::channel();
         let http = tokio::spawn(http::serve(gateway, listener, async {

@@ -22,14 +22,14 @@ const FAILED: u8 = 1;
 
 fn main() -> ExitCode {
     let result = match CommandLine::parse().command {
-        Command::Serve(args) => serve(args),
-        Command::Demo(args) => demonstrate(args),
-        Command::DemoSubscriber(args) => watch(args),
+        Command::Serve(args) => block_on(serve(args)),
+        Command::Demo(args) => block_on(demonstrate(args)),
+        Command::DemoSubscriber(args) => block_on(watch(args)),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("sutura: {failure}");
+            eprintln!("sutura: {}", failure.to_string().trim_end());
             if let Failure::Demo(error) = &failure {
                 eprintln!("{}", error.advice());
             }
@@ -38,15 +38,23 @@ fn main() -> ExitCode {
     }
 }
 
+/// Runs `future` on a runtime of its own. Work that still blocks when it ends is left behind.
+fn block_on(future: impl Future<Output = Result<(), Failure>>) -> Result<(), Failure> {
+    let runtime = tokio::runtime::Runtime::new()?;
+    let result = runtime.block_on(future);
+    runtime.shutdown_background();
+    result
+}
+
 /// Runs a daemon until it is told to stop. Each address it serves stands on one line of the
 /// standard output, as soon as it can be used.
-#[tokio::main]
 async fn serve(args: ServeArgs) -> Result<(), Failure> {
     let config = args.resolve()?;
     logging::install(&config.log)?;
     let recorder = sutura_transport::install_recorder()?;
     let mut signals = Signals::listen()?;
     let daemon = Daemon::start(&config, recorder).await?;
+    tracing::info!(http = daemon.http_url(), zenoh = daemon.zenoh_endpoint(), "serving");
     writeln!(std::io::stdout(), "http {}", daemon.http_url())?;
     writeln!(std::io::stdout(), "zenoh {}", daemon.zenoh_endpoint())?;
 
@@ -59,7 +67,6 @@ async fn serve(args: ServeArgs) -> Result<(), Failure> {
 }
 
 /// Runs a daemon on free loopback ports and demonstrates it.
-#[tokio::main]
 async fn demonstrate(args: DemoArgs) -> Result<(), Failure> {
     let config = args.daemon_config();
     logging::install(&config.log)?;
@@ -70,7 +77,6 @@ async fn demonstrate(args: DemoArgs) -> Result<(), Failure> {
 }
 
 /// The watching process of the demonstration.
-#[tokio::main]
 async fn watch(args: SubscriberArgs) -> Result<(), Failure> {
     Ok(demo::watch(&args).await?)
 }

@@ -30,6 +30,12 @@ pub(super) struct Traffic {
     #[serde(deserialize_with = "count")]
     max_page: usize,
     #[serde(deserialize_with = "count")]
+    max_evaluation_numbers: usize,
+    #[serde(deserialize_with = "bytes")]
+    max_array_bytes: usize,
+    #[serde(deserialize_with = "bytes")]
+    max_bus_array_bytes: usize,
+    #[serde(deserialize_with = "count")]
     max_streams: usize,
     #[serde(rename = "max_send_wait_s", deserialize_with = "seconds")]
     max_send_wait: Duration,
