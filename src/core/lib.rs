@@ -7,9 +7,16 @@
 //! Entry points: [`build::build`] prepares a body, [`build::rebuild`] applies edits to it,
 //! [`reduced`] evaluates and simulates the result.
 
+pub mod assembly;
+pub mod basis;
 pub mod build;
 pub mod control;
+pub mod cubature;
+pub mod derivatives;
 pub mod edit;
+pub mod factorization;
+pub mod linalg;
 pub mod material;
 pub mod mesh;
+pub mod modes;
 pub mod reduced;

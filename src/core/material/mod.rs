@@ -1,4 +1,6 @@
-//! Constitutive laws. One so far: St. Venant–Kirchhoff.
+//! Constitutive laws. One so far: St. Venant–Kirchhoff ([`stvk`]).
+
+pub mod stvk;
 
 /// A material: elastic constants and density, validated.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,6 +1,19 @@
-//! The reduced model: cubature-summed energy, force and stiffness, and its time integration.
+//! The reduced model: cubature-summed energy, force and stiffness in the subspace
+//! ([M16] eq. 14, [B12] §3.1), independent of the mesh's size.
 
-use std::sync::Arc;
+mod newmark;
+mod statics;
+
+pub use newmark::{Integrator, Simulation, SimulationError, SimulationParams, StepReport};
+pub use statics::StaticError;
+
+use crate::assembly::FullModel;
+use crate::build::RayleighDamping;
+use crate::cubature::Rule;
+use crate::linalg;
+use crate::material::stvk;
+use faer::{Mat, MatRef};
+use nalgebra::Matrix3;
 
 /// Energy, force and tangent stiffness in reduced coordinates.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,103 +47,178 @@ pub struct EvaluatorTables {
     pub r: usize,
 }
 
+/// One cubature point.
+#[derive(Clone, Copy, Debug)]
+struct Point {
+    lame: [f64; 2],
+    /// Cubature weight times rest volume.
+    weight_m3: f64,
+}
+
 /// A body in its subspace: small, self-contained, independent of the mesh's size.
 #[derive(Debug)]
-pub struct ReducedModel {}
+pub struct ReducedModel {
+    points: Vec<Point>,
+    /// ∂(∇u)/∂q at each point: rows 9·point + 3·i + j hold ∂u_i/∂X_j (9p×r).
+    gradients: Mat<f64>,
+    stitch_stiffness: Mat<f64>,
+    /// Reduced stiffness at rest, stitches included: damping uses it.
+    rest_stiffness: Mat<f64>,
+    damping: RayleighDamping,
+    /// Reduced load of unit gravity along each axis (r×3).
+    gravity: Mat<f64>,
+    n_rigid_modes: usize,
+}
 
 impl ReducedModel {
+    /// Tables for `rule` in `basis` (n×r); `stretch` is AᵀU (3s×r).
+    pub(crate) fn new(
+        model: &FullModel,
+        rule: &Rule,
+        basis: MatRef<'_, f64>,
+        stretch: MatRef<'_, f64>,
+        damping: RayleighDamping,
+        n_rigid_modes: usize,
+    ) -> ReducedModel {
+        let r = basis.ncols();
+        let mut gradients = Mat::zeros(9 * rule.tets.len(), r);
+        for (point, &tet) in rule.tets.iter().enumerate() {
+            let rows = model.corner_rows(tet as usize, basis);
+            let shape = &model.gradients()[tet as usize];
+            for column in 0..r {
+                for (i, j) in (0..9).map(|k| (k / 3, k % 3)) {
+                    gradients[(9 * point + 3 * i + j, column)] =
+                        (0..4).map(|a| rows[(3 * a + i, column)] * shape[a][j]).sum();
+                }
+            }
+        }
+        let points = rule
+            .tets
+            .iter()
+            .zip(&rule.weights)
+            .map(|(&tet, weight)| Point {
+                lame: model.lame()[tet as usize],
+                weight_m3: weight * model.volumes_m3()[tet as usize],
+            })
+            .collect();
+        let masses = model.lumped_mass_kg();
+        let mut gravity = Mat::zeros(r, 3);
+        for column in 0..r {
+            for (index, &v) in model.free_vertices().iter().enumerate() {
+                for axis in 0..3 {
+                    gravity[(column, axis)] +=
+                        masses[v as usize] * basis[(3 * index + axis, column)];
+                }
+            }
+        }
+        let mut reduced = ReducedModel {
+            points,
+            gradients,
+            stitch_stiffness: linalg::gram(stretch, stretch),
+            rest_stiffness: Mat::zeros(r, r),
+            damping,
+            gravity,
+            n_rigid_modes,
+        };
+        reduced.rest_stiffness = reduced.sums(&vec![0.0; r], true).stiffness;
+        reduced
+    }
+
     /// Number of reduced coordinates.
     pub fn r(&self) -> usize {
-        unimplemented!()
+        self.gradients.ncols()
     }
+
     /// Energy, force and stiffness at `q` (r numbers) by cubature.
-    pub fn evaluate(&self, _q: &[f64]) -> Evaluation {
-        unimplemented!()
+    pub fn evaluate(&self, q: &[f64]) -> Evaluation {
+        let sums = self.sums(q, true);
+        let r = self.r();
+        Evaluation {
+            energy_j: sums.energy_j,
+            force: sums.force,
+            stiffness: (0..r * r).map(|i| sums.stiffness[(i / r, i % r)]).collect(),
+        }
+    }
+
+    /// Reduced load of gravity, r numbers.
+    pub(crate) fn gravity_load(&self, gravity_m_s2: [f64; 3]) -> Vec<f64> {
+        (0..self.r())
+            .map(|i| (0..3).map(|axis| self.gravity[(i, axis)] * gravity_m_s2[axis]).sum())
+            .collect()
+    }
+
+    /// Energy and force, and the stiffness if asked for (otherwise 0×0).
+    fn sums(&self, q: &[f64], with_stiffness: bool) -> Sums {
+        let r = self.r();
+        let q = Mat::from_fn(r, 1, |i, _| q[i]);
+        let d = linalg::product(self.gradients.as_ref(), q.as_ref());
+        let mut stress = Mat::zeros(d.nrows(), 1);
+        let mut energy_j = 0.0;
+        for (p, point) in self.points.iter().enumerate() {
+            let gradient = Matrix3::from_fn(|i, j| d[(9 * p + 3 * i + j, 0)]);
+            energy_j += point.weight_m3 * stvk::energy_density(&gradient, point.lame);
+            let piola = stvk::stress(&gradient, point.lame) * point.weight_m3;
+            (0..9).for_each(|k| stress[(9 * p + k, 0)] = piola[(k / 3, k % 3)]);
+        }
+        let stitch_force = linalg::small_product(self.stitch_stiffness.as_ref(), q.as_ref());
+        energy_j += 0.5 * (q.col(0).transpose() * stitch_force.col(0));
+        let mut force = linalg::gram(self.gradients.as_ref(), stress.as_ref());
+        force += &stitch_force;
+        let stiffness = if with_stiffness { self.stiffness_at(&d) } else { Mat::zeros(0, 0) };
+        Sums { energy_j, force: (0..r).map(|i| force[(i, 0)]).collect(), stiffness }
+    }
+
+    /// Σ w V G_pᵀ (∂P/∂F) G_p + stitches, from the displacement gradients `d` of all points.
+    fn stiffness_at(&self, d: &Mat<f64>) -> Mat<f64> {
+        let r = self.r();
+        let mut response = Mat::<f64>::zeros(self.gradients.nrows(), r);
+        for (p, point) in self.points.iter().enumerate() {
+            let gradient = Matrix3::from_fn(|i, j| d[(9 * p + 3 * i + j, 0)]);
+            let c = stvk::stress_derivative(&gradient, point.lame);
+            let c = Mat::from_fn(9, 9, |i, j| point.weight_m3 * c[i][j]);
+            let product = linalg::small_product(c.as_ref(), self.gradients.subrows(9 * p, 9));
+            response.as_mut().subrows_mut(9 * p, 9).copy_from(&product);
+        }
+        let mut stiffness = linalg::gram(self.gradients.as_ref(), response.as_ref());
+        stiffness += &self.stitch_stiffness;
+        Mat::from_fn(r, r, |i, j| 0.5 * (stiffness[(i, j)] + stiffness[(j, i)]))
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        linalg::bytes(&self.gradients) + 2 * linalg::bytes(&self.rest_stiffness)
     }
 }
 
-/// How the reduced equations of motion are integrated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Integrator {
-    /// Newmark with β = 1/4, γ = 1/2, each step solved by Newton's method.
-    ImplicitNewmark,
+struct Sums {
+    energy_j: f64,
+    force: Vec<f64>,
+    stiffness: Mat<f64>,
 }
 
-/// Parameters of a [`Simulation`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SimulationParams {
-    /// Time step in s.
-    pub dt_s: f64,
-    /// The integrator.
-    pub integrator: Integrator,
-    /// Gravity in m/s².
-    pub gravity_m_s2: [f64; 3],
-}
-
-/// What one step went through.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct StepReport {
-    /// Newton iterations over all substeps.
-    pub n_newton: u32,
-    /// Substeps the step was split into (1 when all went well).
-    pub n_substeps: u32,
-    /// No substep size worked: the step was undone and the body brought to rest where it was.
-    pub recovered: bool,
-}
-
-/// Why a simulation cannot run.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[allow(missing_docs)] // the messages say what the fields are
-pub enum SimulationError {
-    #[error("dt_s must be positive and at most 1 s, not {0}")]
-    TimeStep(f64),
-    #[error("gravity_m_s2 must be finite")]
-    Gravity,
-    #[error(
-        "the body has {n_rigid_modes} rigid modes; only bodies held in place can be simulated so far: fix vertices or stitch every component to a fixed one"
-    )]
-    Free { n_rigid_modes: usize },
-}
-
-/// A running simulation of one reduced model.
-pub struct Simulation {}
-
-impl Simulation {
-    /// At rest at q = 0.
-    pub fn new(
-        _model: Arc<ReducedModel>,
-        _params: SimulationParams,
-    ) -> Result<Simulation, SimulationError> {
-        unimplemented!()
-    }
-    /// Advances by `dt_s` under the reduced external force `force` (r numbers; gravity is added).
-    /// Never leaves a non-finite state behind.
-    pub fn step(&mut self, _force: &[f64]) -> StepReport {
-        unimplemented!()
-    }
-    /// Changes the parameters from the next step on.
-    pub fn set_params(&mut self, _params: SimulationParams) -> Result<(), SimulationError> {
-        unimplemented!()
-    }
-    /// Carries state over to another generation: q and velocity through `transfer`
-    /// (r_new × r_old, row-major).
-    pub fn switch(
-        &mut self,
-        _model: Arc<ReducedModel>,
-        _transfer: &[f64],
-    ) -> Result<(), SimulationError> {
-        unimplemented!()
-    }
-    /// Simulated time in s.
-    pub fn time_s(&self) -> f64 {
-        unimplemented!()
-    }
-    /// Reduced coordinates.
-    pub fn q(&self) -> &[f64] {
-        unimplemented!()
-    }
-    /// Reduced velocity in 1/s.
-    pub fn velocity(&self) -> &[f64] {
-        unimplemented!()
+/// The evaluator's tables as a client downloads them.
+pub(crate) fn tables(
+    model: &FullModel,
+    rule: &Rule,
+    basis: MatRef<'_, f64>,
+    reduced: &ReducedModel,
+) -> EvaluatorTables {
+    let r = basis.ncols();
+    let of = |tet: &u32| *tet as usize;
+    let flat =
+        |m: &Mat<f64>| -> Vec<f64> { (0..m.nrows() * r).map(|i| m[(i / r, i % r)]).collect() };
+    EvaluatorTables {
+        tets: rule.tets.clone(),
+        weights: rule.weights.clone(),
+        volumes_m3: rule.tets.iter().map(|t| model.volumes_m3()[of(t)]).collect(),
+        lame_pa: rule.tets.iter().flat_map(|t| model.lame()[of(t)]).collect(),
+        shape_gradients: rule
+            .tets
+            .iter()
+            .flat_map(|t| model.gradients()[of(t)].into_iter().flatten())
+            .collect(),
+        basis_rows: rule.tets.iter().flat_map(|t| flat(&model.corner_rows(of(t), basis))).collect(),
+        stitch_stiffness: flat(&reduced.stitch_stiffness),
+        r,
     }
 }

@@ -1,0 +1,83 @@
+//! Mass matrices.
+
+use super::sparse::ScalarMatrix;
+use crate::linalg;
+use faer::{Mat, MatRef};
+use rayon::prelude::*;
+
+/// M over the free degrees of freedom; the same for the three axes.
+#[derive(Debug)]
+pub enum Mass {
+    /// One mass a free vertex, in kg.
+    Lumped(Vec<f64>),
+    /// Couples vertices that share a tet.
+    Consistent(ScalarMatrix),
+}
+
+impl Mass {
+    /// `M·X`, X being n×k.
+    pub fn multiply(&self, x: MatRef<'_, f64>) -> Mat<f64> {
+        let mut y = x.to_owned();
+        match self {
+            Mass::Lumped(masses) => y.as_mut().par_col_chunks_mut(1).for_each(|mut column| {
+                for (v, m) in masses.iter().enumerate() {
+                    for axis in 0..3 {
+                        column[(3 * v + axis, 0)] *= m;
+                    }
+                }
+            }),
+            Mass::Consistent(matrix) => {
+                let mut source = vec![0.0; x.nrows()];
+                for j in 0..x.ncols() {
+                    source.copy_from_slice(y.col_as_slice(j));
+                    matrix.multiply_column(&source, y.col_as_slice_mut(j));
+                }
+            }
+        }
+        y
+    }
+
+    /// Entry of M between two free vertices that a tet couples (0 otherwise, or off the diagonal
+    /// of a lumped matrix).
+    pub fn entry(&self, row: usize, column: usize) -> f64 {
+        match self {
+            Mass::Lumped(masses) => {
+                if row == column {
+                    masses[row]
+                } else {
+                    0.0
+                }
+            }
+            Mass::Consistent(matrix) => matrix
+                .pattern()
+                .find(row, column as u32)
+                .map_or(0.0, |entry| matrix.values()[entry]),
+        }
+    }
+
+    /// `XᵀMY`.
+    pub fn inner(&self, x: MatRef<'_, f64>, y: MatRef<'_, f64>) -> Mat<f64> {
+        linalg::gram(x, self.multiply(y).as_ref())
+    }
+
+    /// M-orthonormal columns with the span of X, twice orthogonalized; directions that are
+    /// dependent to within `drop` (squared, relative) are left out.
+    pub fn orthonormalize(
+        &self,
+        x: MatRef<'_, f64>,
+        drop: f64,
+    ) -> Result<Mat<f64>, linalg::DenseError> {
+        let first = linalg::orthonormal_coefficients(self.inner(x, x).as_ref(), drop)?;
+        let y = linalg::product(x, first.as_ref());
+        let second = linalg::SmallCholesky::new(self.inner(y.as_ref(), y.as_ref()).as_ref())?;
+        Ok(second.orthonormalize(y.as_ref()))
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        match self {
+            Mass::Lumped(masses) => size_of_val(&masses[..]),
+            Mass::Consistent(matrix) => size_of_val(matrix.values()),
+        }
+    }
+}

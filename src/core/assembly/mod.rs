@@ -1,0 +1,380 @@
+//! The full-order model: linear tetrahedra, mass and stiffness matrices, internal forces.
+//!
+//! Vectors live on the *free degrees of freedom*: vertices that are neither fixed nor unused, in
+//! ascending order, vertex-major (dof = 3·vertex + axis). Displacements in m, forces in N,
+//! energies in J.
+
+pub mod mass;
+pub mod sparse;
+
+use crate::material::{Material, stvk};
+use crate::mesh::{NO_COMPONENT, TetMesh};
+use faer::{Mat, MatRef};
+use mass::Mass;
+use nalgebra::{Matrix3, Vector3};
+use rayon::prelude::*;
+use sparse::{BlockMatrix, Pattern};
+use std::sync::Arc;
+
+/// The free index of a vertex that cannot move.
+pub const NOT_FREE: u32 = u32::MAX;
+
+/// A mesh with materials and supports: everything that determines energy and forces.
+#[derive(Debug)]
+pub struct FullModel {
+    mesh: Arc<TetMesh>,
+    /// Gradients of the four shape functions of each tet, 1/m.
+    gradients: Vec<[[f64; 3]; 4]>,
+    volumes_m3: Vec<f64>,
+    lame: Vec<[f64; 2]>,
+    density_kg_m3: Vec<f64>,
+    /// Free index of each vertex, or [`NOT_FREE`].
+    free_of_vertex: Vec<u32>,
+    free_vertices: Vec<u32>,
+    /// Free indices of each tet's corners.
+    corners: Vec<[u32; 4]>,
+    /// For each free vertex the (tet, corner) pairs that touch it: `incidence[incidence_start[v]..]`.
+    incidence_start: Vec<usize>,
+    incidence: Vec<(u32, u8)>,
+}
+
+impl FullModel {
+    /// `materials` has one entry for each domain of the mesh; `fixed` lists valid vertices.
+    pub fn new(mesh: Arc<TetMesh>, materials: &[Material], fixed: &[u32]) -> FullModel {
+        let x = |v: u32| Vector3::from(mesh.vertices()[v as usize]);
+        let (gradients, volumes_m3) = mesh
+            .tets()
+            .par_iter()
+            .map(|t| {
+                let edges = Matrix3::from_columns(&[
+                    x(t[1]) - x(t[0]),
+                    x(t[2]) - x(t[0]),
+                    x(t[3]) - x(t[0]),
+                ]);
+                let det = edges.determinant();
+                // Rows of the inverse edge matrix: cross products over the determinant.
+                let g1 = edges.column(1).cross(&edges.column(2)) / det;
+                let g2 = edges.column(2).cross(&edges.column(0)) / det;
+                let g3 = edges.column(0).cross(&edges.column(1)) / det;
+                let g0 = -(g1 + g2 + g3);
+                ([g0.into(), g1.into(), g2.into(), g3.into()], det / 6.0)
+            })
+            .unzip();
+        let of_tet = |t: usize| &materials[mesh.domain_of_tet()[t] as usize];
+        let n_tets = mesh.tets().len();
+        let lame = (0..n_tets).map(|t| of_tet(t).lame().into()).collect();
+        let density_kg_m3 = (0..n_tets).map(|t| of_tet(t).density_kg_m3()).collect();
+
+        let mut free: Vec<bool> =
+            mesh.component_of_vertex().iter().map(|&c| c != NO_COMPONENT).collect();
+        for &v in fixed {
+            free[v as usize] = false;
+        }
+        let free_vertices: Vec<u32> =
+            (0..free.len() as u32).filter(|&v| free[v as usize]).collect();
+        let mut free_of_vertex = vec![NOT_FREE; free.len()];
+        for (index, &v) in free_vertices.iter().enumerate() {
+            free_of_vertex[v as usize] = index as u32;
+        }
+        let corners: Vec<[u32; 4]> =
+            mesh.tets().iter().map(|t| t.map(|v| free_of_vertex[v as usize])).collect();
+        let (incidence_start, incidence) = incidences(free_vertices.len(), &corners);
+        FullModel {
+            mesh,
+            gradients,
+            volumes_m3,
+            lame,
+            density_kg_m3,
+            free_of_vertex,
+            free_vertices,
+            corners,
+            incidence_start,
+            incidence,
+        }
+    }
+
+    /// The mesh.
+    pub fn mesh(&self) -> &Arc<TetMesh> {
+        &self.mesh
+    }
+    /// Free degrees of freedom: 3 × free vertices.
+    pub fn n(&self) -> usize {
+        3 * self.free_vertices.len()
+    }
+    /// The vertices that may move, ascending.
+    pub fn free_vertices(&self) -> &[u32] {
+        &self.free_vertices
+    }
+    /// Free index of `vertex`, if it may move.
+    pub fn free_index(&self, vertex: u32) -> Option<usize> {
+        let index = self.free_of_vertex[vertex as usize];
+        (index != NOT_FREE).then_some(index as usize)
+    }
+    /// Free indices ([`NOT_FREE`] for fixed ones) of the corners of each tet.
+    pub fn corners(&self) -> &[[u32; 4]] {
+        &self.corners
+    }
+    /// Gradients of the four shape functions of each tet, in 1/m.
+    pub fn gradients(&self) -> &[[[f64; 3]; 4]] {
+        &self.gradients
+    }
+    /// Rest volume of each tet in m³.
+    pub fn volumes_m3(&self) -> &[f64] {
+        &self.volumes_m3
+    }
+    /// Lamé's constants of each tet in Pa.
+    pub fn lame(&self) -> &[[f64; 2]] {
+        &self.lame
+    }
+
+    /// Spreads a vector over the free degrees of freedom to all vertices; the others get 0.
+    pub fn expand(&self, free: &[f64]) -> Vec<f64> {
+        let mut all = vec![0.0; 3 * self.free_of_vertex.len()];
+        for (&v, three) in self.free_vertices.iter().zip(free.chunks_exact(3)) {
+            all[3 * v as usize..][..3].copy_from_slice(three);
+        }
+        all
+    }
+
+    /// Lumped mass of every vertex of the mesh in kg: ρV/4 of each tet at each of its corners.
+    pub fn lumped_mass_kg(&self) -> Vec<f64> {
+        let mut mass = vec![0.0; self.free_of_vertex.len()];
+        for (t, corners) in self.mesh.tets().iter().enumerate() {
+            for &v in corners {
+                mass[v as usize] += 0.25 * self.density_kg_m3[t] * self.volumes_m3[t];
+            }
+        }
+        mass
+    }
+
+    /// The pattern of the stiffness matrix, with the couplings of `pairs` (vertices) added.
+    pub fn pattern(&self, pairs: &[[u32; 2]]) -> Pattern {
+        let pairs: Vec<[u32; 2]> =
+            pairs.iter().map(|p| p.map(|v| self.free_of_vertex[v as usize])).collect();
+        Pattern::new(self.free_vertices.len(), &self.corners, &pairs)
+    }
+
+    /// The consistent or lumped mass matrix over the free degrees of freedom.
+    pub fn mass(&self, kind: crate::build::MassKind, pattern: &Arc<Pattern>) -> Mass {
+        match kind {
+            crate::build::MassKind::Lumped => {
+                let all = self.lumped_mass_kg();
+                Mass::Lumped(self.free_vertices.iter().map(|&v| all[v as usize]).collect())
+            }
+            crate::build::MassKind::Consistent => {
+                let mut values = vec![0.0; pattern.n_entries()];
+                self.for_each_row(pattern, &mut values, |tet, a, b| {
+                    let ma = self.density_kg_m3[tet] * self.volumes_m3[tet] / 20.0;
+                    if a == b { 2.0 * ma } else { ma }
+                });
+                Mass::Consistent(sparse::ScalarMatrix::new(pattern.clone(), values))
+            }
+        }
+    }
+
+    /// K = ∂f_int/∂u at rest.
+    pub fn rest_stiffness(&self, pattern: &Arc<Pattern>) -> BlockMatrix {
+        let mut blocks = vec![[0.0; 9]; pattern.n_entries()];
+        self.for_each_row(pattern, &mut blocks, |tet, a, b| {
+            let (ga, gb) = (self.gradients[tet][a], self.gradients[tet][b]);
+            let [lame_lambda, lame_mu] = self.lame[tet];
+            let volume = self.volumes_m3[tet];
+            let dot = ga[0] * gb[0] + ga[1] * gb[1] + ga[2] * gb[2];
+            std::array::from_fn(|i| {
+                let (r, c) = (i / 3, i % 3);
+                let diagonal = if r == c { lame_mu * dot } else { 0.0 };
+                volume * (lame_lambda * ga[r] * gb[c] + lame_mu * ga[c] * gb[r] + diagonal)
+            })
+        });
+        BlockMatrix::new(pattern.clone(), blocks)
+    }
+
+    /// The tangent stiffness ∂f_int/∂u at displacement `u` (free degrees of freedom).
+    pub fn tangent_stiffness(&self, u: &[f64], pattern: &Arc<Pattern>) -> BlockMatrix {
+        let derivatives: Vec<(Matrix3<f64>, Matrix3<f64>)> = (0..self.corners.len())
+            .into_par_iter()
+            .map(|tet| {
+                let d = self.displacement_gradient(tet, u);
+                (
+                    d + Matrix3::identity(),
+                    stvk::second_stress(&stvk::green_strain(&d), self.lame[tet]),
+                )
+            })
+            .collect();
+        let mut blocks = vec![[0.0; 9]; pattern.n_entries()];
+        self.for_each_row(pattern, &mut blocks, |tet, a, b| {
+            // K_ab = V [F (λ gₐg_bᵀ + μ g_bgₐᵀ + μ gₐ·g_b I) Fᵀ + (gₐᵀ S g_b) I]
+            let (f, s) = &derivatives[tet];
+            let [ga, gb] = [a, b].map(|c| Vector3::from(self.gradients[tet][c]));
+            let [lame_lambda, lame_mu] = self.lame[tet];
+            let material = ga * gb.transpose() * lame_lambda
+                + gb * ga.transpose() * lame_mu
+                + Matrix3::identity() * (lame_mu * ga.dot(&gb));
+            let block =
+                f * material * f.transpose() + Matrix3::identity() * (ga.transpose() * s * gb)[0];
+            std::array::from_fn(|i| self.volumes_m3[tet] * block[(i / 3, i % 3)])
+        });
+        BlockMatrix::new(pattern.clone(), blocks)
+    }
+
+    /// Internal force +∂Ψ/∂u at `u`.
+    pub fn internal_force(&self, u: &[f64]) -> Vec<f64> {
+        let stresses: Vec<Matrix3<f64>> = (0..self.corners.len())
+            .into_par_iter()
+            .map(|tet| {
+                stvk::stress(&self.displacement_gradient(tet, u), self.lame[tet])
+                    * self.volumes_m3[tet]
+            })
+            .collect();
+        self.gather(&stresses)
+    }
+
+    /// Strain energy at `u`, summed in a fixed order.
+    pub fn energy(&self, u: &[f64]) -> f64 {
+        let parts: Vec<f64> = (0..self.corners.len())
+            .into_par_iter()
+            .map(|tet| {
+                stvk::energy_density(&self.displacement_gradient(tet, u), self.lame[tet])
+                    * self.volumes_m3[tet]
+            })
+            .collect();
+        parts.iter().sum()
+    }
+
+    /// ∇u of each tet for one displacement vector.
+    pub fn displacement_gradients(&self, u: &[f64]) -> Vec<Matrix3<f64>> {
+        (0..self.corners.len())
+            .into_par_iter()
+            .map(|tet| self.displacement_gradient(tet, u))
+            .collect()
+    }
+
+    /// (H:v)w = D²f_int(0)[v, w] from the displacement gradients of v and w
+    /// ([`FullModel::displacement_gradients`]).
+    pub fn second_derivative_at_rest(&self, v: &[Matrix3<f64>], w: &[Matrix3<f64>]) -> Vec<f64> {
+        let stresses: Vec<Matrix3<f64>> = (0..self.corners.len())
+            .into_par_iter()
+            .map(|tet| {
+                stvk::stress_second_derivative_at_rest(&v[tet], &w[tet], self.lame[tet])
+                    * self.volumes_m3[tet]
+            })
+            .collect();
+        self.gather(&stresses)
+    }
+
+    /// ∇u of one tet: Σ_a u_a ⊗ ∇N_a.
+    pub fn displacement_gradient(&self, tet: usize, u: &[f64]) -> Matrix3<f64> {
+        let mut gradient = Matrix3::zeros();
+        for (&v, g) in self.corners[tet].iter().zip(&self.gradients[tet]) {
+            if v != NOT_FREE {
+                let u = &u[3 * v as usize..][..3];
+                gradient += Vector3::new(u[0], u[1], u[2]) * Vector3::from(*g).transpose();
+            }
+        }
+        gradient
+    }
+
+    /// Forces of stresses that are already multiplied by the tets' volumes: f_a = Σ_tets P ∇N_a.
+    fn gather(&self, stresses: &[Matrix3<f64>]) -> Vec<f64> {
+        let mut force = vec![0.0; self.n()];
+        force.par_chunks_exact_mut(3).enumerate().for_each(|(v, f)| {
+            let mut sum = Vector3::zeros();
+            for &(tet, corner) in
+                &self.incidence[self.incidence_start[v]..self.incidence_start[v + 1]]
+            {
+                sum += stresses[tet as usize]
+                    * Vector3::from(self.gradients[tet as usize][corner as usize]);
+            }
+            f.copy_from_slice(sum.as_slice());
+        });
+        force
+    }
+
+    /// Adds `term(tet, a, b)` to the entry (corner a, corner b) of every tet, row by row: each row
+    /// is one thread's, its tets in a fixed order, so the sums do not depend on scheduling.
+    fn for_each_row<T: Accumulate>(
+        &self,
+        pattern: &Pattern,
+        entries: &mut [T],
+        term: impl Fn(usize, usize, usize) -> T + Sync,
+    ) {
+        let mut rows: Vec<(usize, &mut [T])> = Vec::with_capacity(pattern.n());
+        let mut rest = entries;
+        for v in 0..pattern.n() {
+            let (row, tail) = rest.split_at_mut(pattern.range(v).len());
+            rows.push((v, row));
+            rest = tail;
+        }
+        rows.into_par_iter().for_each(|(v, row)| {
+            let columns = pattern.row(v);
+            for &(tet, a) in &self.incidence[self.incidence_start[v]..self.incidence_start[v + 1]] {
+                for (b, column) in self.corners[tet as usize].iter().enumerate() {
+                    if let Ok(at) = columns.binary_search(column) {
+                        row[at].add(term(tet as usize, a as usize, b));
+                    }
+                }
+            }
+        });
+    }
+
+    /// Displacements of several vectors (n×k) at the four corners of `tet`: 12 rows, corner-major.
+    pub fn corner_rows(&self, tet: usize, x: MatRef<'_, f64>) -> Mat<f64> {
+        let corners = self.corners[tet];
+        Mat::from_fn(12, x.ncols(), |row, column| {
+            let v = corners[row / 3];
+            if v == NOT_FREE { 0.0 } else { x[(3 * v as usize + row % 3, column)] }
+        })
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        size_of_val(&self.gradients[..])
+            + size_of_val(&self.volumes_m3[..]) * 2
+            + size_of_val(&self.lame[..])
+            + size_of_val(&self.corners[..]) * 2
+            + size_of_val(&self.incidence[..])
+            + self.free_of_vertex.len() * (24 + 4 + 4 + 4)
+    }
+}
+
+/// Entries that sums of element terms go into.
+trait Accumulate: Send {
+    fn add(&mut self, term: Self);
+}
+
+impl Accumulate for f64 {
+    fn add(&mut self, term: f64) {
+        *self += term;
+    }
+}
+
+impl Accumulate for [f64; 9] {
+    fn add(&mut self, term: [f64; 9]) {
+        for (a, b) in self.iter_mut().zip(term) {
+            *a += b;
+        }
+    }
+}
+
+fn incidences(n: usize, corners: &[[u32; 4]]) -> (Vec<usize>, Vec<(u32, u8)>) {
+    let mut start = vec![0usize; n + 1];
+    for &v in corners.iter().flatten() {
+        if v != NOT_FREE {
+            start[v as usize + 1] += 1;
+        }
+    }
+    for v in 0..n {
+        start[v + 1] += start[v];
+    }
+    let mut next = start.clone();
+    let mut incidence = vec![(0, 0); start[n]];
+    for (tet, four) in corners.iter().enumerate() {
+        for (corner, &v) in four.iter().enumerate() {
+            if v != NOT_FREE {
+                incidence[next[v as usize]] = (tet as u32, corner as u8);
+                next[v as usize] += 1;
+            }
+        }
+    }
+    (start, incidence)
+}

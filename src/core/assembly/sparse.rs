@@ -1,0 +1,217 @@
+//! Symmetric sparse matrices over vertices, stored whole by rows: 3×3 blocks ([`BlockMatrix`])
+//! on a pattern shared by stiffness and consistent mass ([`Pattern`]).
+
+use faer::{Mat, MatRef};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Which vertices are coupled: sorted neighbours of each vertex, itself included.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Pattern {
+    row_start: Vec<usize>,
+    columns: Vec<u32>,
+}
+
+impl Pattern {
+    /// Couples the vertices of every element in `elements` and of every pair in `pairs`
+    /// (entries ≥ n are skipped: vertices that are not free).
+    pub fn new(n: usize, elements: &[[u32; 4]], pairs: &[[u32; 2]]) -> Pattern {
+        let groups = || elements.iter().map(|e| &e[..]).chain(pairs.iter().map(|p| &p[..]));
+        let mut count = vec![1usize; n];
+        for group in groups() {
+            for &v in group {
+                if (v as usize) < n {
+                    count[v as usize] += group.len() - 1;
+                }
+            }
+        }
+        let mut neighbours: Vec<Vec<u32>> = count.into_iter().map(Vec::with_capacity).collect();
+        for (v, list) in neighbours.iter_mut().enumerate() {
+            list.push(v as u32);
+        }
+        for group in groups() {
+            for &v in group {
+                for &w in group {
+                    if v != w && (v as usize) < n && (w as usize) < n {
+                        neighbours[v as usize].push(w);
+                    }
+                }
+            }
+        }
+        neighbours.par_iter_mut().for_each(|list| {
+            list.sort_unstable();
+            list.dedup();
+        });
+        let mut row_start = Vec::with_capacity(n + 1);
+        row_start.push(0);
+        let mut columns = Vec::with_capacity(neighbours.iter().map(Vec::len).sum());
+        for list in &neighbours {
+            columns.extend_from_slice(list);
+            row_start.push(columns.len());
+        }
+        Pattern { row_start, columns }
+    }
+
+    /// Number of vertices.
+    pub fn n(&self) -> usize {
+        self.row_start.len() - 1
+    }
+    /// Neighbours of `row`, ascending, itself included.
+    pub fn row(&self, row: usize) -> &[u32] {
+        &self.columns[self.range(row)]
+    }
+    /// Where the entries of `row` lie among all entries.
+    pub fn range(&self, row: usize) -> std::ops::Range<usize> {
+        self.row_start[row]..self.row_start[row + 1]
+    }
+    /// Number of entries.
+    pub fn n_entries(&self) -> usize {
+        self.columns.len()
+    }
+    /// Position of (row, column) among all entries, if present.
+    pub fn find(&self, row: usize, column: u32) -> Option<usize> {
+        self.row(row).binary_search(&column).ok().map(|at| self.row_start[row] + at)
+    }
+}
+
+/// A symmetric matrix of 3×3 blocks (each by rows), n = 3·vertices.
+#[derive(Clone, Debug)]
+pub struct BlockMatrix {
+    pattern: Arc<Pattern>,
+    blocks: Vec<[f64; 9]>,
+}
+
+/// Columns of a block of vectors that one pass over the matrix multiplies.
+const LANES: usize = 8;
+
+impl BlockMatrix {
+    /// A matrix on `pattern` with the given blocks, one for each entry.
+    pub fn new(pattern: Arc<Pattern>, blocks: Vec<[f64; 9]>) -> BlockMatrix {
+        assert_eq!(pattern.n_entries(), blocks.len());
+        BlockMatrix { pattern, blocks }
+    }
+
+    /// The pattern.
+    pub fn pattern(&self) -> &Arc<Pattern> {
+        &self.pattern
+    }
+    /// Rows of the matrix.
+    pub fn n(&self) -> usize {
+        3 * self.pattern.n()
+    }
+    /// One block for each entry of the pattern.
+    pub fn blocks(&self) -> &[[f64; 9]] {
+        &self.blocks
+    }
+    /// The blocks, to be changed.
+    pub fn blocks_mut(&mut self) -> &mut [[f64; 9]] {
+        &mut self.blocks
+    }
+
+    /// `A·X`, X being n×k. Columns are packed by eight so that a block row is read once for all.
+    pub fn multiply(&self, x: MatRef<'_, f64>) -> Mat<f64> {
+        assert_eq!(x.nrows(), self.n());
+        let mut y = Mat::zeros(self.n(), x.ncols());
+        let mut packed = vec![[0.0f64; LANES]; self.n()];
+        for first in (0..x.ncols()).step_by(LANES) {
+            let lanes = LANES.min(x.ncols() - first);
+            for lane in 0..lanes {
+                for (dof, value) in x.col(first + lane).iter().enumerate() {
+                    packed[dof][lane] = *value;
+                }
+            }
+            let rows: Vec<[[f64; LANES]; 3]> =
+                (0..self.pattern.n()).into_par_iter().map(|v| self.row_times(v, &packed)).collect();
+            for lane in 0..lanes {
+                let column = y.col_as_slice_mut(first + lane);
+                for (three, row) in column.chunks_exact_mut(3).zip(&rows) {
+                    for axis in 0..3 {
+                        three[axis] = row[axis][lane];
+                    }
+                }
+            }
+        }
+        y
+    }
+
+    fn row_times(&self, vertex: usize, packed: &[[f64; LANES]]) -> [[f64; LANES]; 3] {
+        let mut sum = [[0.0; LANES]; 3];
+        for entry in self.pattern.range(vertex) {
+            let block = &self.blocks[entry];
+            let at = 3 * self.pattern.columns[entry] as usize;
+            for (row, sum) in sum.iter_mut().enumerate() {
+                for column in 0..3 {
+                    let a = block[3 * row + column];
+                    let x = &packed[at + column];
+                    for lane in 0..LANES {
+                        sum[lane] += a * x[lane];
+                    }
+                }
+            }
+        }
+        sum
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        size_of_val(&self.blocks[..]) + size_of_val(&self.pattern.columns[..])
+    }
+}
+
+/// A symmetric matrix with one number an entry, acting alike on the three axes.
+#[derive(Clone, Debug)]
+pub struct ScalarMatrix {
+    pattern: Arc<Pattern>,
+    values: Vec<f64>,
+}
+
+impl ScalarMatrix {
+    /// A matrix on `pattern` with the given values, one for each entry.
+    pub fn new(pattern: Arc<Pattern>, values: Vec<f64>) -> ScalarMatrix {
+        assert_eq!(pattern.n_entries(), values.len());
+        ScalarMatrix { pattern, values }
+    }
+    /// The pattern.
+    pub fn pattern(&self) -> &Arc<Pattern> {
+        &self.pattern
+    }
+    /// One number for each entry of the pattern.
+    pub fn values(&self) -> &[f64] {
+        &self.values
+    }
+    /// `(A ⊗ I₃)·x` for one column of 3·vertices numbers.
+    pub fn multiply_column(&self, x: &[f64], y: &mut [f64]) {
+        y.par_chunks_exact_mut(3).enumerate().for_each(|(v, y)| {
+            let mut sum = [0.0; 3];
+            for entry in self.pattern.range(v) {
+                let at = 3 * self.pattern.columns[entry] as usize;
+                for axis in 0..3 {
+                    sum[axis] += self.values[entry] * x[at + axis];
+                }
+            }
+            y.copy_from_slice(&sum);
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn multiply_agrees_with_the_dense_product() {
+        let pattern = Arc::new(Pattern::new(5, &[[0, 1, 2, 3], [1, 2, 3, 4]], &[[0, 4], [9, 1]]));
+        assert_eq!(pattern.row(0), [0, 1, 2, 3, 4]);
+        assert_eq!(pattern.row(4), [0, 1, 2, 3, 4]);
+        let blocks: Vec<[f64; 9]> = (0..pattern.n_entries())
+            .map(|e| std::array::from_fn(|i| ((e * 9 + i) as f64).sin()))
+            .collect();
+        let a = BlockMatrix::new(pattern.clone(), blocks);
+        let dense = Mat::from_fn(15, 15, |i, j| {
+            pattern.find(i / 3, (j / 3) as u32).map_or(0.0, |e| a.blocks()[e][3 * (i % 3) + j % 3])
+        });
+        let x = Mat::from_fn(15, 11, |i, j| ((i * 11 + j) as f64).cos());
+        let (fast, slow) = (a.multiply(x.as_ref()), &dense * &x);
+        assert!((fast - slow).norm_max() < 1e-13);
+    }
+}

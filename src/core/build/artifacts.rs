@@ -1,0 +1,284 @@
+//! One generation of a prepared body, and what can be asked of it.
+
+use super::params::BuildParams;
+use crate::assembly::FullModel;
+use crate::assembly::mass::Mass;
+use crate::assembly::sparse::BlockMatrix;
+use crate::control::Stage;
+use crate::cubature::Rule;
+use crate::edit::{Stitch, StitchSet};
+use crate::factorization::SparseCholesky;
+use crate::linalg;
+use crate::mesh::TetMesh;
+use crate::modes::LinearModes;
+use crate::modes::low_rank::MassInverse;
+use crate::modes::stitched::{FlexibilityColumns, StitchMatrix};
+use crate::reduced::{self, Evaluation, EvaluatorTables, ReducedModel};
+use faer::{Mat, MatRef};
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+
+/// Where the cubature rule of a generation came from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CubatureSource {
+    /// Chosen and fitted for this basis.
+    Trained,
+    /// Points and weights of the previous generation.
+    Reused,
+    /// Points of the previous generation, weights fitted anew.
+    Refitted,
+}
+
+/// What is known of a generation's cubature rule.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CubatureReport {
+    /// Points with positive weight.
+    pub n_points: usize,
+    /// Where the rule came from.
+    pub source: CubatureSource,
+    /// Relative reduced-force error on poses not used for fitting (root mean square over poses).
+    pub validation_error: f64,
+}
+
+/// Difference between two bases of one body: `new = [old | columns] · w`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BasisDelta {
+    /// Columns that the old basis lacks, each over all vertices, vertex-major (3·n_vertices).
+    pub columns: Vec<Vec<f64>>,
+    /// (r_old + columns.len()) × r_new, row-major.
+    pub w: Vec<f64>,
+}
+
+/// The base body: everything that later edits reuse. Made once, shared by every generation.
+pub(super) struct Prepared {
+    pub(super) params: BuildParams,
+    pub(super) model: FullModel,
+    pub(super) mass: Mass,
+    /// Made by the first `low_rank` update.
+    pub(super) mass_inverse: OnceLock<MassInverse>,
+    pub(super) stiffness: BlockMatrix,
+    /// Factor of K + σM.
+    pub(super) factor: SparseCholesky,
+    pub(super) sigma: f64,
+    /// M-orthonormal rigid modes (n×k).
+    pub(super) rigid: Mat<f64>,
+    /// Elastic modes, guards included.
+    pub(super) modes: LinearModes,
+    /// −(H:φ_i)φ_j of the base modes and K_σ⁻¹ of them (n×p each).
+    pub(super) derivative_loads: Mat<f64>,
+    pub(super) derivative_flexibility: Mat<f64>,
+}
+
+/// One generation of a prepared body. Immutable; shared by `Arc`.
+pub struct Artifacts {
+    pub(super) prepared: Arc<Prepared>,
+    pub(super) columns: FlexibilityColumns,
+    pub(super) stitches: StitchSet,
+    pub(super) n_rigid_modes: usize,
+    pub(super) modes: LinearModes,
+    pub(super) residuals: Vec<f64>,
+    pub(super) basis: Mat<f64>,
+    pub(super) rule: Rule,
+    pub(super) cubature: Option<CubatureReport>,
+    pub(super) model: Arc<ReducedModel>,
+    pub(super) timings: Vec<(Stage, Duration)>,
+    pub(super) warnings: Vec<String>,
+}
+
+impl std::fmt::Debug for Artifacts {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Artifacts")
+            .field("n_free_dofs", &self.n_free_dofs())
+            .field("n_modes", &self.n_modes())
+            .field("basis_size", &self.basis_size())
+            .field("n_stitches", &self.stitches().len())
+            .finish_non_exhaustive()
+    }
+}
+
+impl Artifacts {
+    /// The mesh.
+    pub fn mesh(&self) -> &Arc<TetMesh> {
+        self.prepared.model.mesh()
+    }
+    /// The parameters of the build.
+    pub fn params(&self) -> &BuildParams {
+        &self.prepared.params
+    }
+    /// The full-order model: matrices and forces before reduction.
+    pub fn full_model(&self) -> &FullModel {
+        &self.prepared.model
+    }
+    /// The stitches in force.
+    pub fn stitches(&self) -> &[Stitch] {
+        self.stitches.as_slice()
+    }
+    /// Three times the number of vertices that may move.
+    pub fn n_free_dofs(&self) -> usize {
+        self.prepared.model.n()
+    }
+    /// Rigid motions that cost no energy, with the stitches in force.
+    pub fn n_rigid_modes(&self) -> usize {
+        self.n_rigid_modes
+    }
+    /// Eigenvalues λ = ω² of the elastic modes in 1/s², ascending.
+    pub fn eigenvalues_per_s2(&self) -> &[f64] {
+        &self.modes.eigenvalues
+    }
+    /// Frequencies √λ/2π of the elastic modes.
+    pub fn frequencies_hz(&self) -> Vec<f64> {
+        let hz = |lambda: &f64| lambda.max(0.0).sqrt() / std::f64::consts::TAU;
+        self.modes.eigenvalues.iter().map(hz).collect()
+    }
+    /// For each mode its relative residual in the norm of the flexibility
+    /// ([`crate::modes::relative_residuals`]): its eigenvalue is wrong by about the square of it.
+    pub fn residuals(&self) -> &[f64] {
+        &self.residuals
+    }
+    /// Number of elastic modes kept.
+    pub fn n_modes(&self) -> usize {
+        self.modes.eigenvalues.len()
+    }
+    /// Number of columns of the basis (at most the size asked for).
+    pub fn basis_size(&self) -> usize {
+        self.basis.ncols()
+    }
+    /// The cubature rule's report, if the body has one.
+    pub fn cubature(&self) -> Option<&CubatureReport> {
+        self.cubature.as_ref()
+    }
+    /// Time spent in each stage of the build or rebuild that made this generation.
+    pub fn timings(&self) -> &[(Stage, Duration)] {
+        &self.timings
+    }
+    /// What the caller should know, in words.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+
+    /// Bytes held by this generation, shared parts included.
+    pub fn memory_bytes(&self) -> usize {
+        let base = &self.prepared;
+        base.model.bytes()
+            + base.mass.bytes()
+            + base.stiffness.bytes()
+            + base.factor.bytes()
+            + linalg::bytes(&base.rigid)
+            + linalg::bytes(&base.modes.shapes)
+            + linalg::bytes(&base.derivative_loads)
+            + linalg::bytes(&base.derivative_flexibility)
+            + self.columns.values().map(|c| linalg::bytes(c)).sum::<usize>()
+            + linalg::bytes(&self.modes.shapes)
+            + linalg::bytes(&self.basis)
+            + self.model.bytes()
+    }
+
+    /// Elastic mode `i` over all vertices, vertex-major: 3·n_vertices numbers, fixed ones 0.
+    pub fn mode(&self, i: usize) -> Vec<f64> {
+        self.prepared.model.expand(self.modes.shapes.col_as_slice(i))
+    }
+    /// Basis column `i` over all vertices, vertex-major: 3·n_vertices numbers, fixed ones 0.
+    pub fn basis_column(&self, i: usize) -> Vec<f64> {
+        self.prepared.model.expand(self.basis.col_as_slice(i))
+    }
+    /// The basis over the free degrees of freedom (n×r).
+    pub fn basis(&self) -> MatRef<'_, f64> {
+        self.basis.as_ref()
+    }
+    /// The r × 3 rows of the basis at one vertex: `rows[i]` is column `i`'s displacement there.
+    pub fn basis_rows(&self, vertex: u32) -> Vec<[f64; 3]> {
+        match self.prepared.model.free_index(vertex) {
+            None => vec![[0.0; 3]; self.basis_size()],
+            Some(v) => (0..self.basis_size())
+                .map(|i| std::array::from_fn(|axis| self.basis[(3 * v + axis, i)]))
+                .collect(),
+        }
+    }
+
+    /// Lumped mass of every vertex in kg (row sums, if the mass matrix is consistent).
+    pub fn lumped_mass_kg(&self) -> Vec<f64> {
+        self.prepared.model.lumped_mass_kg()
+    }
+
+    /// `transfer` with q_new = transfer · q_old: ŪᵀMU_old, r_new × r_old, row-major. Both must be
+    /// generations of one build.
+    pub fn transfer_from(&self, old: &Artifacts) -> Vec<f64> {
+        rows(&self.prepared.mass.inner(self.basis.as_ref(), old.basis.as_ref()))
+    }
+
+    /// What a client that holds the basis of `old` needs to make this one.
+    ///
+    /// The columns are an M-orthonormal basis of what the old span lacks; directions of which less
+    /// than 1e-7 lies outside are within single precision and left out.
+    pub fn delta_from(&self, old: &Artifacts) -> Result<BasisDelta, linalg::DenseError> {
+        let mass = &self.prepared.mass;
+        let weighted = mass.multiply(self.basis.as_ref());
+        let inside = linalg::gram(old.basis.as_ref(), weighted.as_ref());
+        let mut outside = self.basis.clone();
+        linalg::add_product(outside.as_mut(), -1.0, old.basis.as_ref(), inside.as_ref());
+        let gram = mass.inner(outside.as_ref(), outside.as_ref());
+        let (values, vectors) = linalg::symmetric_eigen(gram.as_ref())?;
+        let first = values.partition_point(|&v| v <= 1e-14);
+        let directions = vectors.subcols(first, values.len() - first);
+        let mut columns = linalg::product(outside.as_ref(), directions);
+        for (j, value) in values[first..].iter().enumerate() {
+            columns.col_as_slice_mut(j).iter_mut().for_each(|x| *x /= value.sqrt());
+        }
+        let rest = linalg::gram(columns.as_ref(), weighted.as_ref());
+        let mut w = rows(&inside);
+        w.extend(rows(&rest));
+        Ok(BasisDelta {
+            columns: (0..columns.ncols())
+                .map(|j| self.prepared.model.expand(columns.col_as_slice(j)))
+                .collect(),
+            w,
+        })
+    }
+
+    /// The reduced model, for evaluation and simulation.
+    pub fn model(&self) -> &Arc<ReducedModel> {
+        &self.model
+    }
+    /// Reduced load (r numbers) of a force in N on one vertex.
+    pub fn vertex_load(&self, vertex: u32, force_n: [f64; 3]) -> Vec<f64> {
+        let dot = |row: &[f64; 3]| row.iter().zip(force_n).map(|(u, f)| u * f).sum();
+        self.basis_rows(vertex).iter().map(dot).collect()
+    }
+    /// The evaluator as plain arrays, for a client that steps on its own.
+    pub fn evaluator_tables(&self) -> EvaluatorTables {
+        reduced::tables(&self.prepared.model, &self.rule, self.basis.as_ref(), &self.model)
+    }
+
+    /// Energy, force and stiffness at `q` (r numbers) summed over every tet: the oracle of the
+    /// cubature.
+    pub fn evaluate_exact(&self, q: &[f64]) -> Evaluation {
+        let model = &self.prepared.model;
+        let r = self.basis_size();
+        let q = Mat::from_fn(r, 1, |i, _| q[i]);
+        let u = linalg::product(self.basis.as_ref(), q.as_ref());
+        let u = u.col_as_slice(0);
+        let a = StitchMatrix::new(model, self.stitches.as_slice());
+        let stretch = a.transpose_times(self.basis.as_ref());
+        let stitched = linalg::gram(stretch.as_ref(), stretch.as_ref());
+        let stitch_force = linalg::small_product(stitched.as_ref(), q.as_ref());
+        let internal = model.internal_force(u);
+        let internal = MatRef::from_column_major_slice(&internal, internal.len(), 1);
+        let mut force = linalg::gram(self.basis.as_ref(), internal);
+        force += &stitch_force;
+        let tangent = model.tangent_stiffness(u, self.prepared.stiffness.pattern());
+        let mut stiffness =
+            linalg::gram(self.basis.as_ref(), tangent.multiply(self.basis.as_ref()).as_ref());
+        stiffness += stitched;
+        let energy: f64 = q.col(0).transpose() * stitch_force.col(0);
+        Evaluation {
+            energy_j: model.energy(u) + 0.5 * energy,
+            force: (0..r).map(|i| force[(i, 0)]).collect(),
+            stiffness: rows(&stiffness),
+        }
+    }
+}
+
+/// A matrix by rows.
+fn rows(m: &Mat<f64>) -> Vec<f64> {
+    (0..m.nrows()).flat_map(|i| (0..m.ncols()).map(move |j| m[(i, j)])).collect()
+}

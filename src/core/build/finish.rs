@@ -1,0 +1,190 @@
+//! The second half of every build and rebuild: basis, cubature, reduced model.
+
+use super::StageClock;
+use super::artifacts::{Artifacts, CubatureReport, CubatureSource, Prepared};
+use super::params::{BuildError, CubatureParams};
+use crate::basis::{WeightedDerivatives, mass_pca};
+use crate::control::{Control, Stage};
+use crate::cubature::poses::Shapes;
+use crate::cubature::{self, Rule, Samples};
+use crate::edit::StitchSet;
+use crate::modes::LinearModes;
+use crate::modes::stitched::{FlexibilityColumns, StitchMatrix};
+use crate::reduced::ReducedModel;
+use faer::{Mat, MatRef};
+use std::sync::Arc;
+
+/// Poses for validation: this share of the training poses, and at least so many.
+const VALIDATION_SHARE: f64 = 0.2;
+const LEAST_VALIDATION_POSES: usize = 10;
+
+/// Validation poses come from another stream than training poses.
+const VALIDATION_SEED: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// Relative residual of a modal derivative above which the caller is told.
+const DERIVATIVE_RESIDUAL_LIMIT: f64 = 1e-4;
+
+/// Modal derivatives and where they come from.
+pub(super) struct DerivativeSet {
+    /// n×p.
+    pub(super) shapes: Mat<f64>,
+    /// The two modes of each.
+    pub(super) pairs: Vec<[usize; 2]>,
+    /// Their eigenvalues.
+    pub(super) eigenvalues: Vec<[f64; 2]>,
+    /// Worst relative residual of the solve.
+    pub(super) residual: f64,
+}
+
+/// A generation up to its derivatives.
+pub(super) struct Draft {
+    pub(super) prepared: Arc<Prepared>,
+    pub(super) columns: FlexibilityColumns,
+    pub(super) stitches: StitchSet,
+    pub(super) n_rigid_modes: usize,
+    pub(super) modes: LinearModes,
+    /// Eigenvalues by which the modes are weighed; not always their own.
+    pub(super) weighing: Vec<f64>,
+    pub(super) residuals: Vec<f64>,
+    /// The first set belongs to the modes of this generation.
+    pub(super) derivatives: Vec<DerivativeSet>,
+    /// The cubature rule to reuse.
+    pub(super) reuse: Option<Rule>,
+    pub(super) warnings: Vec<String>,
+}
+
+/// Completes a draft.
+pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Artifacts, BuildError> {
+    let prepared = draft.prepared.clone();
+    let params = &prepared.params;
+    let worst = draft.derivatives.iter().map(|set| set.residual).fold(0.0, f64::max);
+    if worst > DERIVATIVE_RESIDUAL_LIMIT {
+        draft.warnings.push(format!("modal derivatives have a relative residual of {worst:.1e}"));
+    }
+
+    let weighed =
+        LinearModes { shapes: draft.modes.shapes.clone(), eigenvalues: draft.weighing.clone() };
+    let groups: Vec<WeightedDerivatives<'_>> = draft
+        .derivatives
+        .iter()
+        .map(|set| WeightedDerivatives {
+            shapes: set.shapes.as_ref(),
+            eigenvalues: set.eigenvalues.clone(),
+        })
+        .collect();
+    let (basis, _) = mass_pca(&prepared.mass, &weighed, &groups, params.basis_size)?;
+    if basis.ncols() < params.basis_size {
+        draft.warnings.push(format!(
+            "the basis has {} columns instead of {}: modes and derivatives span no more",
+            basis.ncols(),
+            params.basis_size
+        ));
+    }
+    let finite = |m: &Mat<f64>| (0..m.ncols()).all(|j| m.col(j).iter().all(|x| x.is_finite()));
+    if !finite(&basis) || !finite(&draft.modes.shapes) {
+        return Err(BuildError::NonFinite { what: "the basis" });
+    }
+    clock.finish(Stage::Basis)?;
+
+    let (rule, cubature) = match &params.cubature {
+        None => (Rule::exact(prepared.model.corners().len()), None),
+        Some(cubature) => {
+            let shapes = Shapes {
+                modes: &weighed,
+                derivatives: draft.derivatives[0].shapes.as_ref(),
+                pairs: &draft.derivatives[0].pairs,
+                diagonal_m: prepared.model.mesh().diagonal(),
+            };
+            let fit = Fit { prepared: &prepared, basis: basis.as_ref(), shapes, params: cubature };
+            let (rule, report) = fit.rule(draft.reuse.take(), clock.control)?;
+            if report.validation_error > cubature.tolerance {
+                draft.warnings.push(format!(
+                    "the cubature's relative force error is {:.1e}, above the tolerance of {:.1e}: \
+                     more points would help",
+                    report.validation_error, cubature.tolerance
+                ));
+            }
+            (rule, Some(report))
+        }
+    };
+    clock.finish(Stage::Cubature)?;
+
+    let a = StitchMatrix::new(&prepared.model, draft.stitches.as_slice());
+    let model = ReducedModel::new(
+        &prepared.model,
+        &rule,
+        basis.as_ref(),
+        a.transpose_times(basis.as_ref()).as_ref(),
+        params.damping,
+        draft.n_rigid_modes,
+    );
+    clock.finish(Stage::Reduction)?;
+    Ok(Artifacts {
+        prepared,
+        columns: draft.columns,
+        stitches: draft.stitches,
+        n_rigid_modes: draft.n_rigid_modes,
+        modes: draft.modes,
+        residuals: draft.residuals,
+        basis,
+        rule,
+        cubature,
+        model: Arc::new(model),
+        timings: clock.timings,
+        warnings: draft.warnings,
+    })
+}
+
+/// Everything a cubature rule is fitted to.
+struct Fit<'a> {
+    prepared: &'a Prepared,
+    basis: MatRef<'a, f64>,
+    shapes: Shapes<'a>,
+    params: &'a CubatureParams,
+}
+
+impl Fit<'_> {
+    /// The rule in use from now on: `reuse` as it is while its error on held-out poses is within
+    /// the tolerance, refitted if not, or a rule trained anew if there is none.
+    fn rule(
+        &self,
+        reuse: Option<Rule>,
+        control: &dyn Control,
+    ) -> Result<(Rule, CubatureReport), BuildError> {
+        let CubatureParams { n_points, n_training_poses, tolerance, seed } = *self.params;
+        let (model, basis) = (&self.prepared.model, self.basis);
+        let weighted = self.prepared.mass.multiply(basis);
+        let samples = |count: usize, seed: u64| {
+            let poses = self.shapes.random_poses(count, seed);
+            Samples::new(model, basis, weighted.as_ref(), poses.as_ref(), control)
+        };
+        let n_validation =
+            ((VALIDATION_SHARE * n_training_poses as f64) as usize).max(LEAST_VALIDATION_POSES);
+        let validation = samples(n_validation, seed ^ VALIDATION_SEED)?;
+        let report = |rule: &Rule, source| CubatureReport {
+            n_points: rule.tets.len(),
+            source,
+            validation_error: validation.error(model, basis, rule),
+        };
+        let Some(old) = reuse else {
+            control.progress(Stage::Cubature, 0.1);
+            let training = samples(n_training_poses, seed)?;
+            let rule =
+                cubature::train(model, basis, &training, n_points, tolerance, seed, control)?;
+            let report = report(&rule, CubatureSource::Trained);
+            return Ok((rule, report));
+        };
+        let reused = report(&old, CubatureSource::Reused);
+        if reused.validation_error <= tolerance {
+            return Ok((old, reused));
+        }
+        let training = samples(n_training_poses, seed)?;
+        let rule = cubature::refit(model, basis, &training, &old, control)?;
+        let refitted = report(&rule, CubatureSource::Refitted);
+        if refitted.validation_error < reused.validation_error {
+            Ok((rule, refitted))
+        } else {
+            Ok((old, reused))
+        }
+    }
+}

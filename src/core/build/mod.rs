@@ -1,0 +1,403 @@
+//! The only orchestrator: [`build`] prepares a body, [`rebuild`] applies edits to it.
+
+mod artifacts;
+mod finish;
+mod params;
+mod spectrum;
+
+pub use artifacts::{Artifacts, BasisDelta, CubatureReport, CubatureSource};
+pub use params::{
+    BuildError, BuildParams, CubatureParams, MassKind, Method, RayleighDamping, RebuildParams,
+};
+
+use crate::assembly::FullModel;
+use crate::assembly::mass::Mass;
+use crate::control::{self, Cancelled, Control, Stage};
+use crate::derivatives::{self, NEW_DERIVATIVE_MODES, REUSED_SHARE};
+use crate::edit::{Edit, StitchId, StitchSet};
+use crate::linalg::{self, DenseError};
+use crate::mesh::TetMesh;
+use crate::modes::low_rank::{self, MassInverse};
+use crate::modes::stitched::{
+    FlexibilityColumns, StitchMatrix, StitchedStiffness, flexibility_columns,
+};
+use crate::modes::{self, LinearModes, flexibility, rigid};
+use artifacts::Prepared;
+use faer::{Mat, MatRef};
+use finish::{DerivativeSet, Draft, finish};
+use spectrum::{Spectrum, lowest_spectrum};
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+
+/// Measures stages with the caller's clock.
+struct StageClock<'a> {
+    control: &'a dyn Control,
+    last: Duration,
+    timings: Vec<(Stage, Duration)>,
+}
+
+impl<'a> StageClock<'a> {
+    fn start(control: &'a dyn Control) -> StageClock<'a> {
+        StageClock { control, last: control.now(), timings: Vec::new() }
+    }
+
+    /// The time since the last call belongs to `stage`.
+    fn finish(&mut self, stage: Stage) -> Result<(), Cancelled> {
+        let now = self.control.now();
+        self.timings.push((stage, now.saturating_sub(self.last)));
+        self.last = now;
+        self.control.progress(stage, 1.0);
+        control::check(self.control)
+    }
+}
+
+/// Prepares `mesh`: matrices, factorization, modes, derivatives, basis, cubature, reduced model.
+pub fn build(
+    mesh: Arc<TetMesh>,
+    params: &BuildParams,
+    control: &dyn Control,
+) -> Result<Artifacts, BuildError> {
+    params::check(&mesh, params)?;
+    let mut clock = StageClock::start(control);
+    let mut warnings = Vec::new();
+    if let Some(first) = mesh.unused_vertices().first() {
+        let count = mesh.unused_vertices().len();
+        warnings.push(format!(
+            "{count} vertices belong to no tet and never move (the first is {first})"
+        ));
+    }
+    let model = FullModel::new(mesh, &params.materials, &params.fixed_vertices);
+    if model.n() == 0 {
+        return Err(BuildError::NothingFree);
+    }
+    params::check_seams(&model, params)?;
+    let pattern = Arc::new(model.pattern(&[]));
+    let mass = model.mass(params.mass, &pattern);
+    let stiffness = model.rest_stiffness(&pattern);
+    let rigid = rigid::rigid_modes(&model, &mass)?;
+    clock.finish(Stage::Assembly)?;
+
+    let Spectrum { factor, sigma, modes } =
+        lowest_spectrum(&model, &mass, &stiffness, rigid.as_ref(), params.n_modes, &mut clock)?;
+    if modes.eigenvalues.len() < params.n_modes {
+        warnings.push(format!(
+            "{} modes were asked for, but the body has only {}",
+            params.n_modes,
+            modes.eigenvalues.len()
+        ));
+    }
+    let none = FlexibilityColumns::new();
+    let columns = flexibility_columns(&model, &factor, &none, params.seams.iter().copied());
+    if !params.seams.is_empty() {
+        clock.finish(Stage::Seams)?;
+    }
+
+    let kept = modes.lowest(params.n_modes);
+    let stitched = StitchedStiffness::new(&model, &stiffness, &factor, &[], &none)?;
+    let residuals = audit(&stitched, &mass, &kept, sigma);
+    let body =
+        Body { model: &model, mass: &mass, stitched: &stitched, sigma, rigid: rigid.as_ref() };
+    let New { set, loads, flexibility } =
+        new_derivatives(&body, &kept, Some(&modes), params.n_derivative_modes, control)?;
+    clock.finish(Stage::Derivatives)?;
+    drop(stitched);
+
+    let n_rigid_modes = rigid.ncols();
+    let prepared = Arc::new(Prepared {
+        params: params.clone(),
+        model,
+        mass,
+        mass_inverse: OnceLock::new(),
+        stiffness,
+        factor,
+        sigma,
+        rigid,
+        modes,
+        derivative_loads: loads,
+        derivative_flexibility: flexibility,
+    });
+    let draft = Draft {
+        prepared,
+        columns,
+        stitches: StitchSet::default(),
+        n_rigid_modes,
+        weighing: kept.eigenvalues.clone(),
+        modes: kept,
+        residuals,
+        derivatives: vec![set],
+        reuse: None,
+        warnings,
+    };
+    finish(draft, clock)
+}
+
+/// Applies `edits` to `previous` and returns the next generation with the names of the stitches
+/// made. `previous` is untouched.
+///
+/// Modes are updated from the *base* body whatever the generation, so rounds of edits accumulate no
+/// error (the limit that [M16] §6.1 names).
+pub fn rebuild(
+    previous: &Artifacts,
+    edits: &[Edit],
+    params: &RebuildParams,
+    control: &dyn Control,
+) -> Result<(Artifacts, Vec<StitchId>), BuildError> {
+    params::check_fraction("tolerance", params.tolerance)?;
+    let model = &previous.prepared.model;
+    let (stitches, ids) =
+        previous.stitches.apply(edits, model.mesh(), |v| model.free_index(v).is_none())?;
+    let mut clock = StageClock::start(control);
+    let draft = match params.method {
+        Method::FromScratch => from_scratch(previous, stitches, &mut clock)?,
+        Method::Flexibility => update(previous, stitches, Some(params.tolerance), &mut clock)?,
+        Method::LowRank => update(previous, stitches, None, &mut clock)?,
+    };
+    Ok((finish(draft, clock)?, ids))
+}
+
+/// Everything up to the derivatives, from a factorization of the stitched stiffness itself.
+fn from_scratch(
+    previous: &Artifacts,
+    stitches: StitchSet,
+    clock: &mut StageClock<'_>,
+) -> Result<Draft, BuildError> {
+    let prepared = &previous.prepared;
+    let Prepared { params, model, mass, .. } = &**prepared;
+    let a = StitchMatrix::new(model, stitches.as_slice());
+    let pairs: Vec<[u32; 2]> = stitches.as_slice().iter().map(|s| s.pair).collect();
+    let mut stiffness = model.rest_stiffness(&Arc::new(model.pattern(&pairs)));
+    a.add_to(&mut stiffness);
+    let rigid = rigid_left(&a, prepared.rigid.as_ref())?;
+    clock.finish(Stage::Assembly)?;
+
+    let Spectrum { factor, sigma, modes } =
+        lowest_spectrum(model, mass, &stiffness, rigid.as_ref(), params.n_modes, clock)?;
+    let kept = modes.lowest(params.n_modes);
+    let none = FlexibilityColumns::new();
+    let stitched = StitchedStiffness::new(model, &stiffness, &factor, &[], &none)?;
+    let residuals = audit(&stitched, mass, &kept, sigma);
+    let body = Body { model, mass, stitched: &stitched, sigma, rigid: rigid.as_ref() };
+    let New { set, .. } =
+        new_derivatives(&body, &kept, Some(&modes), params.n_derivative_modes, clock.control)?;
+    clock.finish(Stage::Derivatives)?;
+    Ok(Draft {
+        prepared: prepared.clone(),
+        columns: previous.columns.clone(),
+        stitches,
+        n_rigid_modes: rigid.ncols(),
+        weighing: kept.eigenvalues.clone(),
+        modes: kept,
+        residuals,
+        derivatives: vec![set],
+        reuse: None,
+        warnings: Vec::new(),
+    })
+}
+
+/// Everything up to the derivatives, from the base body's factorization: by flexibility to
+/// `tolerance`, or by the low-rank update if there is none.
+fn update(
+    previous: &Artifacts,
+    stitches: StitchSet,
+    tolerance: Option<f64>,
+    clock: &mut StageClock<'_>,
+) -> Result<Draft, BuildError> {
+    let prepared = &previous.prepared;
+    let Prepared { model, mass, factor, sigma, rigid, modes: base, .. } = &**prepared;
+    let control = clock.control;
+    let mut warnings = Vec::new();
+    let pairs = stitches.as_slice().iter().map(|s| s.pair);
+    let columns = flexibility_columns(model, factor, &previous.columns, pairs);
+    let stitched =
+        StitchedStiffness::new(model, &prepared.stiffness, factor, stitches.as_slice(), &columns)?;
+    control::check(control)?;
+    let left = rigid_left(stitched.stitch_matrix(), rigid.as_ref())?;
+    let n_modes = prepared.params.n_modes;
+
+    let (kept, residuals, weighing) = match tolerance {
+        None => {
+            warnings.push(
+                "low_rank treats all higher modes as having no stiffness: its frequencies are \
+                 those of that approximation, not of the stitched body (see the residuals)"
+                    .into(),
+            );
+            let modes = low_rank_modes(prepared, &stitched, left.ncols(), n_modes)?;
+            // Its eigenvalues can vanish; the true Rayleigh quotients take their place as weights.
+            let weighing = rayleigh_quotients(&stitched, &modes);
+            let residuals = audit(&stitched, mass, &modes, *sigma);
+            (modes, residuals, weighing)
+        }
+        Some(tolerance) => {
+            let problem = flexibility::Update {
+                stitched: &stitched,
+                mass,
+                sigma: *sigma,
+                rigid: rigid.as_ref(),
+                n_rigid_left: left.ncols(),
+                base,
+                n_modes,
+                tolerance,
+            };
+            let updated = flexibility::update(&problem, control)?;
+            let half = updated.error_estimates.len().div_ceil(2);
+            let worst = updated.error_estimates[..half].iter().copied().fold(0.0, f64::max);
+            if worst > tolerance {
+                warnings.push(format!(
+                    "the lower half of the modes reached a relative eigenvalue error of \
+                     {worst:.1e}, not {tolerance:.1e}"
+                ));
+            }
+            let weighing = updated.modes.eigenvalues.clone();
+            (updated.modes, updated.residuals, weighing)
+        }
+    };
+    clock.finish(Stage::Modes)?;
+
+    let body = Body { model, mass, stitched: &stitched, sigma: *sigma, rigid: left.as_ref() };
+    let weighed = LinearModes { shapes: kept.shapes.clone(), eigenvalues: weighing.clone() };
+    let accurate = tolerance.map(|_| &kept);
+    let count = NEW_DERIVATIVE_MODES.min(prepared.params.n_derivative_modes);
+    let New { set: new, .. } = new_derivatives(&body, &weighed, accurate, count, control)?;
+    let reused = reused_derivatives(prepared, &body, accurate, control)?;
+    clock.finish(Stage::Derivatives)?;
+    let n_rigid_modes = left.ncols();
+    drop(stitched);
+    Ok(Draft {
+        prepared: prepared.clone(),
+        columns,
+        stitches,
+        n_rigid_modes,
+        modes: kept,
+        weighing,
+        residuals,
+        derivatives: vec![new, reused],
+        reuse: previous.cubature.is_some().then(|| previous.rule.clone()),
+        warnings,
+    })
+}
+
+/// What the derivative stage needs of a (stitched) body.
+struct Body<'a> {
+    model: &'a FullModel,
+    mass: &'a Mass,
+    stitched: &'a StitchedStiffness<'a>,
+    sigma: f64,
+    /// Motions that remain rigid.
+    rigid: MatRef<'a, f64>,
+}
+
+impl<'a> Body<'a> {
+    fn solver(&self, accurate: Option<&'a LinearModes>) -> derivatives::Solver<'a> {
+        derivatives::Solver {
+            stitched: self.stitched,
+            mass: self.mass,
+            sigma: self.sigma,
+            rigid: self.rigid,
+            modes: accurate,
+        }
+    }
+}
+
+/// Relative residuals of modes that come without an audit of their own.
+fn audit(
+    stitched: &StitchedStiffness<'_>,
+    mass: &Mass,
+    modes: &LinearModes,
+    sigma: f64,
+) -> Vec<f64> {
+    let shapes = modes.shapes.as_ref();
+    let product = stitched.multiply(shapes);
+    let residual = modes::residual_vectors(product, mass, shapes, &modes.eigenvalues);
+    let solved = stitched.solve(residual.as_ref());
+    modes::relative_residuals(residual.as_ref(), solved.as_ref(), &modes.eigenvalues, sigma)
+}
+
+/// New modal derivatives with their right-hand sides and K̂_σ⁻¹ of those.
+struct New {
+    set: DerivativeSet,
+    loads: Mat<f64>,
+    flexibility: Mat<f64>,
+}
+
+/// Derivatives of every pair of the lowest `count` modes.
+fn new_derivatives<'a>(
+    body: &Body<'a>,
+    modes: &LinearModes,
+    accurate: Option<&'a LinearModes>,
+    count: usize,
+    control: &dyn Control,
+) -> Result<New, BuildError> {
+    let lowest = modes.lowest(count);
+    let loads = derivatives::right_hand_sides(body.model, lowest.shapes.as_ref(), control)?;
+    let flexibility = body.stitched.solve(loads.as_ref());
+    control::check(control)?;
+    let (shapes, residual) =
+        body.solver(accurate).solve(loads.as_ref(), flexibility.clone(), control)?;
+    let pairs = derivatives::pairs(lowest.eigenvalues.len());
+    let eigenvalues = pairs.iter().map(|p| p.map(|i| lowest.eigenvalues[i])).collect();
+    let set = DerivativeSet { shapes, pairs, eigenvalues, residual };
+    Ok(New { set, loads, flexibility })
+}
+
+/// Derivatives of the base body's right-hand sides on the stitched body: K_σ⁻¹ of them is cached,
+/// so K̂_σ⁻¹ costs no solve ([M16] §4.2.1 reuses 40 % of them).
+fn reused_derivatives<'a>(
+    prepared: &Prepared,
+    body: &Body<'a>,
+    accurate: Option<&'a LinearModes>,
+    control: &dyn Control,
+) -> Result<DerivativeSet, BuildError> {
+    let available = prepared.derivative_loads.ncols();
+    let count = (REUSED_SHARE * available as f64).ceil() as usize;
+    let loads = prepared.derivative_loads.subcols(0, count);
+    let start = prepared.derivative_flexibility.subcols(0, count).to_owned();
+    let (shapes, residual) =
+        body.solver(accurate).solve(loads, body.stitched.correct(start), control)?;
+    let base = &prepared.modes.eigenvalues;
+    let pairs: Vec<[usize; 2]> =
+        derivatives::pairs(prepared.params.n_derivative_modes).into_iter().take(count).collect();
+    let eigenvalues = pairs.iter().map(|p| p.map(|i| base[i])).collect();
+    Ok(DerivativeSet { shapes, pairs, eigenvalues, residual })
+}
+
+/// The rigid motions that stretch no stitch (n×k, M-orthonormal).
+fn rigid_left(a: &StitchMatrix, rigid: MatRef<'_, f64>) -> Result<Mat<f64>, DenseError> {
+    let left = rigid::unstretched(a.gaps(rigid).as_ref())?;
+    Ok(linalg::product(rigid, left.as_ref()))
+}
+
+/// The paper's update, guards included in what it starts from; the motions that remain rigid are
+/// its lowest and are left out.
+fn low_rank_modes(
+    prepared: &Prepared,
+    stitched: &StitchedStiffness<'_>,
+    n_rigid_left: usize,
+    n_modes: usize,
+) -> Result<LinearModes, BuildError> {
+    let inverse = match prepared.mass_inverse.get() {
+        Some(inverse) => inverse,
+        None => {
+            let made = MassInverse::new(&prepared.mass)
+                .map_err(|error| BuildError::of_factorization(error, &prepared.model))?;
+            prepared.mass_inverse.get_or_init(|| made)
+        }
+    };
+    let base = &prepared.modes;
+    let u = linalg::concatenate(&[prepared.rigid.as_ref(), base.shapes.as_ref()]);
+    let lambda: Vec<f64> = std::iter::repeat_n(0.0, prepared.rigid.ncols())
+        .chain(base.eigenvalues.iter().copied())
+        .collect();
+    let a = stitched.stitch_matrix();
+    let all = low_rank::update(u.as_ref(), &lambda, a, inverse, n_rigid_left + n_modes)?;
+    let count = all.eigenvalues.len().saturating_sub(n_rigid_left);
+    Ok(LinearModes {
+        shapes: all.shapes.subcols(n_rigid_left, count).to_owned(),
+        eigenvalues: all.eigenvalues[n_rigid_left..].to_vec(),
+    })
+}
+
+/// φᵀK̂φ of M-normalised shapes.
+fn rayleigh_quotients(stitched: &StitchedStiffness<'_>, modes: &LinearModes) -> Vec<f64> {
+    let product = stitched.multiply(modes.shapes.as_ref());
+    (0..product.ncols()).map(|j| modes.shapes.col(j).transpose() * product.col(j)).collect()
+}

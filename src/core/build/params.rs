@@ -1,0 +1,209 @@
+//! What a build and a rebuild are asked for, and why they may refuse.
+
+use crate::assembly::FullModel;
+use crate::control::Cancelled;
+use crate::edit::{self, EditError};
+use crate::factorization::FactorizationError;
+use crate::linalg::DenseError;
+use crate::material::Material;
+use crate::mesh::TetMesh;
+use crate::modes::ModesError;
+
+/// How mass is distributed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MassKind {
+    /// A quarter of each tet's mass at each of its corners: a diagonal matrix.
+    Lumped,
+    /// ∫ρ NᵢNⱼ: ρV/20·(1 + δᵢⱼ) for each tet.
+    Consistent,
+}
+
+/// Cubature training ([M16] §4.3).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CubatureParams {
+    /// Most points that may be chosen.
+    pub n_points: usize,
+    /// Poses to fit.
+    pub n_training_poses: usize,
+    /// Relative reduced-force error at which training stops and above which a reused rule is refitted.
+    pub tolerance: f64,
+    /// Seed of the poses and of the candidate subset.
+    pub seed: u64,
+}
+
+/// Rayleigh damping D = α M + β K.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RayleighDamping {
+    /// α in 1/s.
+    pub mass_per_s: f64,
+    /// β in s.
+    pub stiffness_s: f64,
+}
+
+/// Everything that [`build`] needs beside the mesh. There is no default on purpose: the caller
+/// resolves every value and can show it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BuildParams {
+    /// One material for each entry of [`TetMesh::domains`].
+    pub materials: Vec<Material>,
+    /// Vertices that never move.
+    pub fixed_vertices: Vec<u32>,
+    /// Lumped or consistent.
+    pub mass: MassKind,
+    /// Elastic linear modes to keep.
+    pub n_modes: usize,
+    /// Columns of the basis.
+    pub basis_size: usize,
+    /// The lowest so many modes contribute all their pairwise modal derivatives.
+    pub n_derivative_modes: usize,
+    /// Cubature training; `None` evaluates every tet.
+    pub cubature: Option<CubatureParams>,
+    /// Damping of the reduced model.
+    pub damping: RayleighDamping,
+    /// Candidate stitch pairs whose flexibility columns are prepared with the body.
+    pub seams: Vec<[u32; 2]>,
+}
+
+/// How the linear modes follow an edit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
+    /// Preconditioned by the cached factorization, refined to a tolerance (numerics: the default).
+    Flexibility,
+    /// The low-rank update of [M16] §4.1.
+    LowRank,
+    /// Everything anew.
+    FromScratch,
+}
+
+/// Parameters of [`rebuild`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RebuildParams {
+    /// How to update the modes.
+    pub method: Method,
+    /// Relative eigenvalue error accepted for the lower half of the modes (`Flexibility` only).
+    pub tolerance: f64,
+}
+
+/// Why a body could not be built or rebuilt.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what the fields are
+pub enum BuildError {
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+    #[error(transparent)]
+    Edit(#[from] EditError),
+    #[error("seams: {0}")]
+    Seam(EditError),
+    #[error(
+        "fixed_vertices entry {position}: vertex {vertex} is out of range, the mesh has {n_vertices} vertices"
+    )]
+    FixedVertexOutOfRange { position: usize, vertex: u32, n_vertices: usize },
+    #[error("every vertex is fixed: nothing can move")]
+    NothingFree,
+    #[error("{given} materials for {n_domains} domains")]
+    MaterialCount { given: usize, n_domains: usize },
+    #[error("{name} is {value}, but must be between {low} and {high}")]
+    OutOfRange { name: &'static str, value: usize, low: usize, high: usize },
+    #[error("{name} is {value}, but must be {rule}")]
+    BadParameter { name: &'static str, value: f64, rule: &'static str },
+    #[error(
+        "the stiffness matrix could not be factorized: vertex {vertex} meets a non-positive pivot (is a tet extremely flat or a material extremely soft?)"
+    )]
+    NonPositivePivot { vertex: u32 },
+    #[error("{what} did not converge: {detail}")]
+    NotConverged { what: &'static str, detail: String },
+    #[error("{what} produced a number that is not finite")]
+    NonFinite { what: &'static str },
+}
+
+impl BuildError {
+    /// A factorization's error, its row named as a vertex of the mesh.
+    pub(crate) fn of_factorization(error: FactorizationError, model: &FullModel) -> BuildError {
+        match error {
+            FactorizationError::NonPositivePivot { row } => BuildError::NonPositivePivot {
+                vertex: model.free_vertices().get(row / 3).copied().unwrap_or_default(),
+            },
+            other => {
+                BuildError::NotConverged { what: "the factorization", detail: other.to_string() }
+            }
+        }
+    }
+}
+
+impl From<DenseError> for BuildError {
+    fn from(error: DenseError) -> BuildError {
+        BuildError::NotConverged { what: "a small dense problem", detail: error.to_string() }
+    }
+}
+
+impl From<ModesError> for BuildError {
+    fn from(error: ModesError) -> BuildError {
+        match error {
+            ModesError::Cancelled(cancelled) => BuildError::Cancelled(cancelled),
+            other => BuildError::NotConverged { what: "the modes", detail: other.to_string() },
+        }
+    }
+}
+
+/// Checks what can be checked before anything is computed.
+pub(super) fn check(mesh: &TetMesh, params: &BuildParams) -> Result<(), BuildError> {
+    let n_vertices = mesh.vertices().len();
+    for (position, &vertex) in params.fixed_vertices.iter().enumerate() {
+        if vertex as usize >= n_vertices {
+            return Err(BuildError::FixedVertexOutOfRange { position, vertex, n_vertices });
+        }
+    }
+    let n_domains = mesh.domains().len();
+    if params.materials.len() != n_domains {
+        return Err(BuildError::MaterialCount { given: params.materials.len(), n_domains });
+    }
+    let at_least_one = |name, value: usize| match value {
+        0 => Err(BuildError::OutOfRange { name, value, low: 1, high: usize::MAX }),
+        _ => Ok(()),
+    };
+    at_least_one("n_modes", params.n_modes)?;
+    at_least_one("basis.size", params.basis_size)?;
+    if params.n_derivative_modes > params.n_modes {
+        return Err(BuildError::OutOfRange {
+            name: "basis.n_derivative_modes",
+            value: params.n_derivative_modes,
+            low: 0,
+            high: params.n_modes,
+        });
+    }
+    for (name, value) in [
+        ("damping.rayleigh_mass_per_s", params.damping.mass_per_s),
+        ("damping.rayleigh_stiffness_s", params.damping.stiffness_s),
+    ] {
+        if !(value >= 0.0 && value.is_finite()) {
+            let rule = "finite and not negative";
+            return Err(BuildError::BadParameter { name, value, rule });
+        }
+    }
+    if let Some(cubature) = &params.cubature {
+        at_least_one("cubature.n_points", cubature.n_points)?;
+        at_least_one("cubature.n_training_poses", cubature.n_training_poses)?;
+        check_fraction("cubature.tolerance", cubature.tolerance)?;
+    }
+    Ok(())
+}
+
+/// Checks that `value` lies strictly between 0 and 1.
+pub(super) fn check_fraction(name: &'static str, value: f64) -> Result<(), BuildError> {
+    if value > 0.0 && value < 1.0 {
+        Ok(())
+    } else {
+        Err(BuildError::BadParameter { name, value, rule: "strictly between 0 and 1" })
+    }
+}
+
+/// Checks the seams' pairs like an edit's.
+pub(super) fn check_seams(model: &FullModel, params: &BuildParams) -> Result<(), BuildError> {
+    let mesh = model.mesh();
+    let allowed_m = edit::COINCIDENCE_RATIO * mesh.diagonal();
+    for (position, &pair) in params.seams.iter().enumerate() {
+        edit::check_pair(0, position, pair, mesh, allowed_m, &|v| model.free_index(v).is_none())
+            .map_err(BuildError::Seam)?;
+    }
+    Ok(())
+}

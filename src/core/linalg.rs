@@ -1,0 +1,175 @@
+//! The one place that speaks to faer about dense matrices.
+//!
+//! faer's own parallelism spins on skinny products (measured 2.6 × the processor time), so every
+//! call here is sequential and parallelism comes from row chunks of fixed size: results do not
+//! depend on the number of threads.
+
+use faer::linalg::matmul::matmul;
+use faer::{Accum, Mat, MatMut, MatRef, Par, Side};
+use rayon::prelude::*;
+
+/// Rows per parallel piece of a tall matrix.
+const ROW_CHUNK: usize = 4096;
+
+/// A dense factorization or decomposition failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a dense {0} failed")]
+pub struct DenseError(pub &'static str);
+
+/// Makes faer's implicit global parallelism sequential; called by everything that decomposes.
+fn sequential() {
+    static ONCE: std::sync::Once = std::sync::Once::new();
+    ONCE.call_once(|| faer::set_global_parallelism(Par::Seq));
+}
+
+/// `XᵀY` of tall matrices (n×k, n×l → k×l).
+pub fn gram(x: MatRef<'_, f64>, y: MatRef<'_, f64>) -> Mat<f64> {
+    assert_eq!(x.nrows(), y.nrows());
+    let n = x.nrows();
+    let parts: Vec<Mat<f64>> = (0..n.div_ceil(ROW_CHUNK))
+        .into_par_iter()
+        .map(|chunk| {
+            let start = chunk * ROW_CHUNK;
+            let rows = ROW_CHUNK.min(n - start);
+            let mut part = Mat::zeros(x.ncols(), y.ncols());
+            matmul(
+                part.as_mut(),
+                Accum::Replace,
+                x.subrows(start, rows).transpose(),
+                y.subrows(start, rows),
+                1.0,
+                Par::Seq,
+            );
+            part
+        })
+        .collect();
+    let mut sum = Mat::zeros(x.ncols(), y.ncols());
+    for part in parts {
+        sum += part;
+    }
+    sum
+}
+
+/// `Y += alpha·X·C` with X tall (n×k) and C small (k×l).
+pub fn add_product(y: MatMut<'_, f64>, alpha: f64, x: MatRef<'_, f64>, c: MatRef<'_, f64>) {
+    assert_eq!((y.nrows(), y.ncols(), x.ncols()), (x.nrows(), c.ncols(), c.nrows()));
+    if x.nrows() == 0 || x.ncols() == 0 || c.ncols() == 0 {
+        return;
+    }
+    y.par_row_chunks_mut(ROW_CHUNK)
+        .zip(x.par_row_chunks(ROW_CHUNK))
+        .for_each(|(y, x)| matmul(y, Accum::Add, x, c, alpha, Par::Seq));
+}
+
+/// `X·C` with X tall (n×k) and C small (k×l).
+pub fn product(x: MatRef<'_, f64>, c: MatRef<'_, f64>) -> Mat<f64> {
+    let mut y = Mat::zeros(x.nrows(), c.ncols());
+    add_product(y.as_mut(), 1.0, x, c);
+    y
+}
+
+/// `A·B` of small matrices.
+pub fn small_product(a: MatRef<'_, f64>, b: MatRef<'_, f64>) -> Mat<f64> {
+    let mut c = Mat::zeros(a.nrows(), b.ncols());
+    matmul(c.as_mut(), Accum::Replace, a, b, 1.0, Par::Seq);
+    c
+}
+
+/// Eigenvalues (ascending) and orthonormal eigenvectors of a small symmetric matrix; the two
+/// triangles are averaged.
+pub fn symmetric_eigen(a: MatRef<'_, f64>) -> Result<(Vec<f64>, Mat<f64>), DenseError> {
+    sequential();
+    let symmetric = Mat::from_fn(a.nrows(), a.ncols(), |i, j| 0.5 * (a[(i, j)] + a[(j, i)]));
+    let eigen = symmetric
+        .self_adjoint_eigen(Side::Lower)
+        .map_err(|_| DenseError("symmetric eigendecomposition"))?;
+    let values: Vec<f64> = (0..a.nrows()).map(|i| eigen.S()[i]).collect();
+    if values.iter().any(|v| !v.is_finite()) {
+        return Err(DenseError("symmetric eigendecomposition"));
+    }
+    Ok((values, eigen.U().to_owned()))
+}
+
+/// Left singular vectors and singular values (descending) of a small matrix.
+pub fn left_singular(a: MatRef<'_, f64>) -> Result<(Vec<f64>, Mat<f64>), DenseError> {
+    sequential();
+    let svd = a.thin_svd().map_err(|_| DenseError("singular value decomposition"))?;
+    let values: Vec<f64> = (0..svd.U().ncols()).map(|i| svd.S()[i]).collect();
+    if values.iter().any(|v| !v.is_finite()) {
+        return Err(DenseError("singular value decomposition"));
+    }
+    Ok((values, svd.U().to_owned()))
+}
+
+/// A Cholesky factorization of a small symmetric positive definite matrix.
+pub struct SmallCholesky(faer::linalg::solvers::Llt<f64>);
+
+impl SmallCholesky {
+    /// Factorizes the lower triangle of `a`.
+    pub fn new(a: MatRef<'_, f64>) -> Result<SmallCholesky, DenseError> {
+        sequential();
+        a.llt(Side::Lower).map(SmallCholesky).map_err(|_| DenseError("Cholesky factorization"))
+    }
+
+    /// `A⁻¹B`.
+    pub fn solve(&self, b: MatRef<'_, f64>) -> Mat<f64> {
+        use faer::prelude::Solve;
+        self.0.solve(b)
+    }
+
+    /// `B·L⁻ᵀ` for a tall B: with A = BᵀMB this makes the columns M-orthonormal.
+    pub fn orthonormalize(&self, b: MatRef<'_, f64>) -> Mat<f64> {
+        let mut inverse = Mat::<f64>::identity(b.ncols(), b.ncols());
+        faer::linalg::triangular_solve::solve_lower_triangular_in_place(
+            self.0.L(),
+            inverse.as_mut(),
+            Par::Seq,
+        );
+        product(b, inverse.transpose())
+    }
+}
+
+/// Coefficients that make a set of vectors orthonormal, from their Gram matrix (k×k): returns C
+/// (k×m, m ≤ k) with CᵀGC = I, leaving out directions whose squared length, after scaling every
+/// vector to unit length, is below `drop`.
+pub fn orthonormal_coefficients(g: MatRef<'_, f64>, drop: f64) -> Result<Mat<f64>, DenseError> {
+    let k = g.nrows();
+    let scale: Vec<f64> =
+        (0..k).map(|i| if g[(i, i)] > 0.0 { g[(i, i)].sqrt().recip() } else { 0.0 }).collect();
+    let scaled = Mat::from_fn(k, k, |i, j| g[(i, j)] * scale[i] * scale[j]);
+    let (values, vectors) = symmetric_eigen(scaled.as_ref())?;
+    let floor = drop * values.last().copied().unwrap_or(0.0).max(1.0);
+    let first = values.partition_point(|&v| v <= floor);
+    Ok(Mat::from_fn(k, k - first, |i, j| {
+        scale[i] * vectors[(i, first + j)] / values[first + j].sqrt()
+    }))
+}
+
+/// Largest entry of `|G − I|`: how far from orthonormal a set of vectors with Gram matrix G is.
+pub fn distance_from_identity(g: MatRef<'_, f64>) -> f64 {
+    let mut worst = 0.0f64;
+    for j in 0..g.ncols() {
+        for i in 0..g.nrows() {
+            worst = worst.max((g[(i, j)] - f64::from(i == j)).abs());
+        }
+    }
+    worst
+}
+
+/// The columns of `parts` side by side.
+pub fn concatenate(parts: &[MatRef<'_, f64>]) -> Mat<f64> {
+    let n = parts.first().map_or(0, |p| p.nrows());
+    let k = parts.iter().map(|p| p.ncols()).sum();
+    let mut all = Mat::zeros(n, k);
+    let mut at = 0;
+    for part in parts {
+        all.as_mut().subcols_mut(at, part.ncols()).copy_from(part);
+        at += part.ncols();
+    }
+    all
+}
+
+/// Bytes of a dense matrix.
+pub fn bytes(a: &Mat<f64>) -> usize {
+    a.nrows() * a.ncols() * size_of::<f64>()
+}

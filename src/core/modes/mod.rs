@@ -1,0 +1,89 @@
+//! Linear modes K φ = λ M φ: from scratch ([`lanczos`]) and after an edit ([`flexibility`],
+//! [`low_rank`]).
+
+pub mod flexibility;
+pub mod lanczos;
+pub mod low_rank;
+pub mod rigid;
+pub mod shift;
+pub mod stitched;
+
+use crate::assembly::mass::Mass;
+use crate::control::Cancelled;
+use crate::linalg::{self, DenseError};
+use faer::{Mat, MatRef};
+
+/// Elastic modes, ascending; rigid ones are kept apart.
+#[derive(Clone, Debug)]
+pub struct LinearModes {
+    /// n × r, M-orthonormal.
+    pub shapes: Mat<f64>,
+    /// λ = ω² in 1/s².
+    pub eigenvalues: Vec<f64>,
+}
+
+impl LinearModes {
+    /// The lowest `count` of them.
+    pub fn lowest(&self, count: usize) -> LinearModes {
+        let count = count.min(self.eigenvalues.len());
+        LinearModes {
+            shapes: self.shapes.subcols(0, count).to_owned(),
+            eigenvalues: self.eigenvalues[..count].to_vec(),
+        }
+    }
+}
+
+/// Why modes could not be computed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what the fields are
+pub enum ModesError {
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+    #[error(transparent)]
+    Dense(#[from] DenseError),
+    #[error("residual {residual:e} in a space of {dimension} vectors")]
+    NotConverged { residual: f64, dimension: usize },
+}
+
+/// Relative residuals of modes in the norm of the flexibility:
+/// ρ = √(θ · rᵀ K̂_σ⁻¹ r) with r = K̂φ − λMφ and θ = 1/(λ + σ).
+///
+/// In this norm a residual is a relative error: some exact eigenvalue of (K̂ + σM, M) lies within
+/// the fraction ρ of λ + σ, and the error of a Ritz value is about ρ² over its relative gap. (The
+/// Euclidean or M⁻¹ norm would be ruled by high frequencies that hardly matter to the mode.)
+/// `residual` is n×k, `solved` is K̂_σ⁻¹ of it.
+pub fn relative_residuals(
+    residual: MatRef<'_, f64>,
+    solved: MatRef<'_, f64>,
+    eigenvalues: &[f64],
+    sigma: f64,
+) -> Vec<f64> {
+    (0..residual.ncols())
+        .map(|i| {
+            let energy = residual.col(i).transpose() * solved.col(i);
+            (energy.max(0.0) / (eigenvalues[i] + sigma)).sqrt()
+        })
+        .collect()
+}
+
+/// R = K̂Φ − MΦΛ from K̂Φ.
+pub fn residual_vectors(
+    stiffness_times_shapes: Mat<f64>,
+    mass: &Mass,
+    shapes: MatRef<'_, f64>,
+    eigenvalues: &[f64],
+) -> Mat<f64> {
+    let mut residual = stiffness_times_shapes;
+    let ms = mass.multiply(shapes);
+    for (j, lambda) in eigenvalues.iter().enumerate() {
+        for (r, m) in residual.col_as_slice_mut(j).iter_mut().zip(ms.col_as_slice(j)) {
+            *r -= lambda * m;
+        }
+    }
+    residual
+}
+
+/// Largest entry of |ΦᵀMΦ − I|.
+pub fn orthonormality_error(mass: &Mass, shapes: MatRef<'_, f64>) -> f64 {
+    linalg::distance_from_identity(mass.inner(shapes, shapes).as_ref())
+}
