@@ -116,8 +116,8 @@ impl BlockMatrix {
         for first in (0..x.ncols()).step_by(LANES) {
             let lanes = LANES.min(x.ncols() - first);
             for lane in 0..lanes {
-                for (dof, value) in x.col(first + lane).iter().enumerate() {
-                    packed[dof][lane] = *value;
+                for (packed, value) in packed.iter_mut().zip(x.col(first + lane).iter()) {
+                    packed[lane] = *value;
                 }
             }
             let rows: Vec<[[f64; LANES]; 3]> =

@@ -51,14 +51,14 @@ pub fn solve(
             continue;
         }
         let now = residual_squared(gram, projection, norm_squared, &support, &x);
-        if !(now < residual) {
+        if now < residual {
+            residual = now;
+            banned.iter_mut().for_each(|b| *b = false);
+        } else {
             // Rounding: the column adds nothing that the support lacks.
             (x, support) = (old_x, old_support);
             banned[entering] = true;
-            continue;
         }
-        residual = now;
-        banned.iter_mut().for_each(|b| *b = false);
     }
     support.sort_unstable();
     Solution {

@@ -74,7 +74,7 @@ pub fn lowest_modes(
 
         let remainder = problem.mass.inner(w.as_ref(), w.as_ref());
         let done = dim >= most;
-        if done || (dim >= kept && (dim / BLOCK) % 2 == 0) {
+        if done || (dim >= kept && (dim / BLOCK).is_multiple_of(2)) {
             let (theta, y) = linalg::symmetric_eigen(tridiagonal.as_ref())?;
             // Ritz residual of pair k: ‖W y_last‖_M with y_last its entries of the last block.
             let residual = |k: usize| {

@@ -9,7 +9,6 @@
 //! updated frequencies do not rise. Kept because it is the published method.
 
 use crate::assembly::mass::Mass;
-use crate::assembly::sparse::ScalarMatrix;
 use crate::factorization::{FactorizationError, SparseCholesky};
 use crate::linalg::{self, DenseError};
 use crate::modes::LinearModes;
@@ -22,7 +21,7 @@ pub enum MassInverse {
     /// Reciprocals of the lumped masses.
     Lumped(Vec<f64>),
     /// A factorization over vertices (M is the same on the three axes).
-    Consistent(SparseCholesky),
+    Consistent(Box<SparseCholesky>),
 }
 
 impl MassInverse {
@@ -30,7 +29,9 @@ impl MassInverse {
     pub fn new(mass: &Mass) -> Result<MassInverse, FactorizationError> {
         Ok(match mass {
             Mass::Lumped(masses) => MassInverse::Lumped(masses.iter().map(|m| m.recip()).collect()),
-            Mass::Consistent(matrix) => MassInverse::Consistent(factorize(matrix)?),
+            Mass::Consistent(matrix) => {
+                MassInverse::Consistent(Box::new(SparseCholesky::of_scalars(matrix)?))
+            }
         })
     }
 
@@ -53,10 +54,6 @@ impl MassInverse {
             }
         }
     }
-}
-
-fn factorize(matrix: &ScalarMatrix) -> Result<SparseCholesky, FactorizationError> {
-    SparseCholesky::of_scalars(matrix)
 }
 
 /// The `count` lowest eigenpairs of MUΛUᵀM + AAᵀ. `u` is n×r and M-orthonormal with eigenvalues
