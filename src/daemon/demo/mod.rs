@@ -244,13 +244,26 @@ async fn set_in_motion(
         console.line("  the open body has free parts and is not simulated");
         None
     };
-    let edit = Edit::Unstitch { stitch_ids: last.stitch_ids.last().copied().into_iter().collect() };
+    let edits = loosen(case, last.stitch_ids.last(), build.session.n_rigid_modes > 0);
     let endpoint = daemon.zenoh_endpoint();
-    let motion = motion::swing_closed(console, session, &endpoint, &config, &load, edit).await?;
+    let motion = motion::swing_closed(console, session, &endpoint, &config, &load, edits).await?;
     report::print_motion(console, &motion);
     let closed = motion::displacement(session, &motion.seen.furthest).await?;
     open.delete().await.doing("deleting a fork")?;
     Ok(Scene { motion, pull, open: open_displacement, closed })
+}
+
+/// The edit in mid-motion: the last stitch is released, or, where parts of the body hang on their
+/// stitches, replaced by one a hundred times as soft.
+fn loosen(case: &Case, stitch_id: Option<&u64>, hangs_on_stitches: bool) -> Vec<Edit> {
+    let mut edits = vec![Edit::Unstitch { stitch_ids: stitch_id.into_iter().copied().collect() }];
+    if hangs_on_stitches {
+        edits.push(Edit::Stitch {
+            pairs: case.stitches.last().copied().into_iter().collect(),
+            stiffness_n_m: 0.01 * case.stitch_stiffness_n_m,
+        });
+    }
+    edits
 }
 
 /// Draws the open and the closed body, seen from the same side at the same scale.

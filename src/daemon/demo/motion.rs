@@ -83,14 +83,14 @@ pub(crate) async fn swing_open(
     Ok((furthest, displacement))
 }
 
-/// Swings the closed body, watched by another process, and applies `edit` in mid-motion.
+/// Swings the closed body, watched by another process, and applies `edits` in mid-motion.
 pub(crate) async fn swing_closed(
     console: Console,
     session: &Session,
     zenoh_endpoint: &str,
     config: &SimulationConfig,
     load: &Load,
-    edit: Edit,
+    edits: Vec<Edit>,
 ) -> Result<Motion, DemoError> {
     let mut watcher = Watcher::spawn(zenoh_endpoint, session.id())?;
     watcher.until(|message| matches!(message, Message::Ready).then_some(())).await?;
@@ -106,7 +106,7 @@ pub(crate) async fn swing_closed(
         })
         .await?;
     let start = Instant::now();
-    let request = EditRequest::new(vec![edit]);
+    let request = EditRequest::new(edits);
     let edit = session.edit(&request).await.doing("editing the moving body")?;
     let edit_wall_ms = 1e3 * start.elapsed().as_secs_f64();
     console.line(&format!(

@@ -9,6 +9,7 @@ use super::rounds::RoundReport;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use sutura_client::proto::session::SessionInfo;
+use sutura_core::control::Stage;
 
 /// Everything that one run measured.
 #[derive(Serialize)]
@@ -64,7 +65,9 @@ impl BuildReport {
             info.n_rigid_modes,
             info.basis_size
         ));
-        let stages = info.timings_ms.iter().map(|(stage, ms)| format!("{stage} {ms:.0}"));
+        let time = |stage: Stage| info.timings_ms.get(stage.name()).map(|ms| (stage.name(), ms));
+        let stages = Stage::ALL.into_iter().filter_map(time);
+        let stages = stages.map(|(name, ms)| format!("{name} {ms:.0}"));
         console.line(&format!("  ms: {}", stages.collect::<Vec<_>>().join(", ")));
         for warning in &info.warnings {
             console.line(&format!("  note: {warning}"));
@@ -118,19 +121,14 @@ pub(crate) fn print_motion(console: Console, motion: &Motion) {
     ));
     let switch = &seen.switch;
     console.line(&format!(
-        "  generation {} → {} at {:.3} s: u = U q changed by {:.3} % of {:.2} mm when carried over \
+        "  generation {} → {} at {:.3} s: the displacement field changed by {:.3} % of its {:.2} mm \
          (at most {:.0} %)",
         switch.from_generation,
         switch.to_generation,
-        switch.times_s[0],
+        switch.times_s[1],
         100.0 * switch.jump,
         1e3 * switch.max_displacement_m,
         100.0 * MAX_JUMP
-    ));
-    console.line(&format!(
-        "  the next state came within {:.3} % of where the motion was heading (usual: {:.3} %)",
-        100.0 * switch.departure,
-        100.0 * switch.usual_departure
     ));
     console.line(&format!(
         "  {} steps, {} late, {} recovered",

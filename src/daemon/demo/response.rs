@@ -10,7 +10,7 @@ use sutura_core::mesh::TetMesh;
 /// Static displacements are scaled to this fraction of the body's diagonal: the pull, and the
 /// opening of the incision. Applied at once, a load swings the body twice as far.
 const PULL_RATIO: f64 = 0.04;
-const OPENING_RATIO: f64 = 0.02;
+const OPENING_RATIO: f64 = 0.05;
 
 /// Linear modes as a compliance.
 pub(crate) struct Compliance<'a> {

@@ -90,19 +90,15 @@ impl Furthest {
 pub(crate) struct SwitchReport {
     pub(crate) from_generation: u64,
     pub(crate) to_generation: u64,
-    /// Simulated time of the last state before and of the first one after.
+    /// Simulated time of the last state before and of the first one after, in s. A daemon publishes
+    /// the state in which it goes over twice, in either basis: then they are the same.
     pub(crate) times_s: [f64; 2],
     /// Largest displacement of the last state before, in m.
     pub(crate) max_displacement_m: f64,
-    /// Largest difference over the vertices between U q of the last state before and the same state
-    /// carried over, U_new (transfer · q), relative to `max_displacement_m`.
+    /// Largest difference over the vertices between U q of the first state after and U q before,
+    /// continued to the same time should one of the two states be lost; relative to
+    /// `max_displacement_m`.
     pub(crate) jump: f64,
-    /// Largest difference between the first state after the switch and where the last three before
-    /// it were heading, relative to `max_displacement_m`.
-    pub(crate) departure: f64,
-    /// The largest departure of the same kind among the states before the switch: what the motion
-    /// itself, sampled at the published rate, amounts to.
-    pub(crate) usual_departure: f64,
 }
 
 /// Watches until enough has been seen.
@@ -139,7 +135,6 @@ fn say(message: &Message) {
 /// A state as a displacement field.
 struct Moment {
     time_s: f64,
-    q: Vec<f32>,
     displacement: Vec<f32>,
 }
 
@@ -152,7 +147,6 @@ struct Watch {
     /// The last three states of the current generation, the oldest first.
     recent: Vec<Moment>,
     furthest: Furthest,
-    usual_departure: f64,
     switch: Option<SwitchReport>,
     n_frames_at_switch: usize,
 }
@@ -167,7 +161,6 @@ impl Watch {
             last_sequence: 0,
             recent: Vec::new(),
             furthest: Furthest::rest(),
-            usual_departure: 0.0,
             switch: None,
             n_frames_at_switch: 0,
         }
@@ -186,52 +179,43 @@ impl Watch {
             self.n_lost += state.sequence.saturating_sub(self.last_sequence + 1);
         }
         self.last_sequence = state.sequence;
-        let old_generation = self.tracker.basis().generation();
-        let carried =
-            if state.generation == old_generation { None } else { self.carry(&state).await? };
+        let from_generation = self.tracker.basis().generation();
         let displacement =
             self.tracker.displacement(&state).await.doing("reconstructing u = U q")?;
-        let heading = extrapolate(&self.recent, state.time_s);
-        let departure = heading.map(|heading| largest_difference(&heading, &displacement));
-        let reference = self.recent.last().map_or(0.0, |last| largest(&last.displacement));
-        if let Some((before, after)) = carried {
-            let jump = largest_difference(&before, &after);
-            self.switch = Some(SwitchReport {
-                from_generation: old_generation,
-                to_generation: state.generation,
-                times_s: [self.recent.last().map_or(0.0, |last| last.time_s), state.time_s],
-                max_displacement_m: reference,
-                jump: jump / reference,
-                departure: departure.unwrap_or(0.0) / reference,
-                usual_departure: self.usual_departure / reference,
-            });
+        if state.generation != from_generation {
+            self.switch = self.compare(&state, from_generation, &displacement);
             self.n_frames_at_switch = self.n_frames;
             self.recent.clear();
-        } else if let Some(departure) = departure.filter(|_| self.switch.is_none()) {
-            self.usual_departure = self.usual_departure.max(departure);
-        }
-        if self.switch.is_none() {
+        } else if self.switch.is_none() {
             self.furthest.update(&state, &displacement);
         }
-        if self.recent.len() == 3 {
+        if self.recent.last().is_some_and(|last| last.time_s == state.time_s) {
+            self.recent.pop();
+        } else if self.recent.len() == 3 {
             self.recent.remove(0);
         }
-        self.recent.push(Moment { time_s: state.time_s, q: state.q, displacement });
+        self.recent.push(Moment { time_s: state.time_s, displacement });
         self.n_frames += 1;
         Ok(())
     }
 
-    /// Goes over to the generation of `state`; returns the last displacement as it was and as the
-    /// new basis has it.
-    async fn carry(
-        &mut self,
+    /// Holds the first state of a new generation against the states before it.
+    fn compare(
+        &self,
         state: &StateFrame,
-    ) -> Result<Option<(Vec<f32>, Vec<f32>)>, DemoError> {
-        let transfer = self.tracker.follow(state.generation).await.doing("following an edit")?;
-        let Some(last) = self.recent.last() else { return Ok(None) };
-        let q = transfer.apply(&last.q).doing("carrying a state over")?;
-        let after = self.tracker.basis().reconstruct(&q).doing("reconstructing u = U q")?;
-        Ok(Some((last.displacement.clone(), after)))
+        from_generation: u64,
+        displacement: &[f32],
+    ) -> Option<SwitchReport> {
+        let last = self.recent.last()?;
+        let heading = extrapolate(&self.recent, state.time_s)?;
+        let max_displacement_m = largest(&last.displacement);
+        Some(SwitchReport {
+            from_generation,
+            to_generation: state.generation,
+            times_s: [last.time_s, state.time_s],
+            max_displacement_m,
+            jump: largest_difference(&heading, displacement) / max_displacement_m,
+        })
     }
 
     fn into_report(self) -> Result<MotionReport, DemoError> {
@@ -255,15 +239,17 @@ fn extrapolate(recent: &[Moment], time_s: f64) -> Option<Vec<f32>> {
         ((time_s - other.time_s) * (time_s - another.time_s)
             / ((of.time_s - other.time_s) * (of.time_s - another.time_s))) as f32
     };
+    // At the time of the last state this is exactly that state.
     let [wa, wb, wc] = [weight(a, b, c), weight(b, a, c), weight(c, a, b)];
     let fields = a.displacement.iter().zip(&b.displacement).zip(&c.displacement);
     Some(fields.map(|((a, b), c)| wa * a + wb * b + wc * c).collect())
 }
 
-/// The largest displacement of any vertex.
+/// The largest displacement of any vertex; not a number if one of them is not.
 pub(crate) fn largest(displacement: &[f32]) -> f64 {
     let norm = |u: &[f32]| u.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>().sqrt();
-    displacement.chunks_exact(3).map(norm).fold(0.0, f64::max)
+    let norms = displacement.chunks_exact(3).map(norm);
+    norms.fold(0.0, |largest, norm| if norm > largest || norm.is_nan() { norm } else { largest })
 }
 
 fn largest_difference(a: &[f32], b: &[f32]) -> f64 {
@@ -278,8 +264,7 @@ mod tests {
     #[test]
     fn a_parabola_is_continued_exactly() {
         let x = |t: f64| (1.0 - 2.0 * t + 3.0 * t * t) as f32;
-        let moment =
-            |time_s| Moment { time_s, q: vec![], displacement: vec![x(time_s), 0.0, -x(time_s)] };
+        let moment = |time_s| Moment { time_s, displacement: vec![x(time_s), 0.0, -x(time_s)] };
         let recent = [0.0, 0.1, 0.25].map(moment);
         let heading = extrapolate(&recent, 0.4).unwrap();
         assert!(largest_difference(&heading, &[x(0.4), 0.0, -x(0.4)]) < 1e-6);
@@ -289,5 +274,6 @@ mod tests {
     #[test]
     fn the_largest_displacement_is_a_vector_length() {
         assert_eq!(largest(&[0.0, 0.0, 1.0, 3.0, 0.0, -4.0]), 5.0);
+        assert!(largest(&[0.0, 0.0, 1.0, f32::NAN, 0.0, 0.0, 3.0, 0.0, -4.0]).is_nan());
     }
 }
