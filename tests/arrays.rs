@@ -23,7 +23,7 @@ fn identity_error(mass: &[f64], columns: &[&[f64]]) -> f64 {
     )
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn modes_and_basis_are_orthonormal_in_the_lumped_mass() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
@@ -49,7 +49,7 @@ async fn modes_and_basis_are_orthonormal_in_the_lumped_mass() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn transfer_and_delta_lead_from_one_basis_to_the_next() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
@@ -81,7 +81,7 @@ async fn transfer_and_delta_lead_from_one_basis_to_the_next() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn npy_and_frame_of_either_width_carry_the_same_numbers() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
@@ -131,7 +131,7 @@ async fn pose(session: &Session, size: f64) -> Vec<f64> {
     q.iter().map(|q| q * size / reach).collect()
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn force_is_the_gradient_of_energy_and_stiffness_that_of_force() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
@@ -159,7 +159,7 @@ async fn force_is_the_gradient_of_energy_and_stiffness_that_of_force() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn cubature_comes_close_to_the_sum_over_every_tet() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
@@ -221,7 +221,7 @@ fn energy_j(tables: &Evaluator<f64>, q: &[f64]) -> f64 {
     energy + 0.5 * stitched.sum::<f64>()
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_client_can_evaluate_on_its_own() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;

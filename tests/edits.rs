@@ -13,7 +13,7 @@ fn difference(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs() / b.abs()).fold(0.0, f64::max)
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn an_incision_is_closed_over_http_and_over_zenoh() {
     let daemon = Daemon::start();
     let client = daemon.client().await;
@@ -81,7 +81,7 @@ async fn an_incision_is_closed_over_http_and_over_zenoh() {
     assert_eq!(zenoh.daemons().await.unwrap().len(), 1);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn unstitching_returns_the_original_spectrum() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
@@ -96,7 +96,7 @@ async fn unstitching_returns_the_original_spectrum() {
     assert!(error < 1e-4, "{error:e}");
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn the_paper_s_method_does_not_raise_the_frequencies() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
@@ -114,7 +114,7 @@ async fn the_paper_s_method_does_not_raise_the_frequencies() {
     assert!(flexibility.frequencies_hz[0] > 1.001 * held.frequencies_hz[0]);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn edits_of_one_request_take_effect_together_or_not_at_all() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
@@ -131,7 +131,7 @@ async fn edits_of_one_request_take_effect_together_or_not_at_all() {
     assert_eq!((reply.generation, reply.n_stitches), (1, 2));
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_fork_goes_its_own_way_and_outlives_its_origin() {
     let daemon = Daemon::start();
     let client = daemon.client().await;
@@ -167,7 +167,7 @@ async fn a_fork_goes_its_own_way_and_outlives_its_origin() {
     assert!(matches!(error, Error::Absent(_)) || error.status() == Some(404), "{error}");
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_session_tells_of_its_edits() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;

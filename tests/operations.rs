@@ -33,7 +33,7 @@ async fn get(daemon: &Daemon, path: &str) -> reqwest::Response {
     reqwest::get(daemon.url(path)).await.unwrap()
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn the_description_lists_every_route_and_every_reference_resolves() {
     let daemon = Daemon::start();
     let document: Value = get(&daemon, "/openapi.json").await.json().await.unwrap();
@@ -69,7 +69,7 @@ async fn the_description_lists_every_route_and_every_reference_resolves() {
     }
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn health_readiness_metrics_and_request_ids_are_there() {
     let daemon = Daemon::start();
     for path in ["/healthz", "/readyz", "/"] {
@@ -87,7 +87,7 @@ async fn health_readiness_metrics_and_request_ids_are_there() {
     assert!(text.contains("/v1/sessions/{id}/edits"), "requests are counted by route: {text}");
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_daemon_asked_to_go_down_ends_its_streams_and_exits_with_0() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
@@ -102,7 +102,7 @@ async fn a_daemon_asked_to_go_down_ends_its_streams_and_exits_with_0() {
     assert_eq!(down.await.unwrap().code(), Some(0));
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn an_edit_under_way_is_finished_before_the_daemon_goes_down() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;

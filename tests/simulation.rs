@@ -21,7 +21,7 @@ fn norm(values: impl IntoIterator<Item = f32>) -> f32 {
     values.into_iter().map(|x| x * x).sum::<f32>().sqrt()
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_simulation_crosses_an_edit_without_a_jump() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
@@ -71,7 +71,7 @@ async fn a_simulation_crosses_an_edit_without_a_jump() {
     assert_eq!(tracker.basis().generation(), 2);
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn states_arrive_over_websocket_and_zenoh_and_answer_to_forces() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
@@ -117,7 +117,7 @@ async fn states_arrive_over_websocket_and_zenoh_and_answer_to_forces() {
     assert_eq!(error.status(), Some(404), "{error}");
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_body_that_nothing_holds_is_not_simulated() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
@@ -126,7 +126,7 @@ async fn a_body_that_nothing_holds_is_not_simulated() {
     assert!(error.to_string().contains("6 rigid modes"), "{error}");
 }
 
-#[tokio::test]
+#[tokio::test(flavor = "multi_thread")]
 async fn a_stream_ends_with_its_session() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;

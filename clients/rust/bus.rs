@@ -11,6 +11,7 @@ use sutura_proto::keys::{self, Resource};
 use sutura_proto::session::SessionInfo;
 use sutura_proto::simulation::{Force, ForceRequest};
 use sutura_proto::{bus, media};
+use tokio::runtime::{Handle, RuntimeFlavor};
 use zenoh::bytes::Encoding;
 use zenoh::handlers::{FifoChannelHandler, RingChannel};
 use zenoh::pubsub::Subscriber;
@@ -31,7 +32,8 @@ pub struct ZenohClient {
 }
 
 impl ZenohClient {
-    /// Connects as a client to `endpoint`, such as `tcp/127.0.0.1:7447`; scouting is off.
+    /// Connects as a client to `endpoint`, such as `tcp/127.0.0.1:7447`; scouting is off. Needs
+    /// Tokio's multi-threaded runtime.
     pub async fn open(endpoint: &str) -> Result<ZenohClient> {
         let endpoints = serde_json::to_string(&[endpoint])?;
         let mut config = zenoh::Config::default();
@@ -49,6 +51,10 @@ impl ZenohClient {
 
     /// Connects as `config` says.
     pub async fn open_with(config: zenoh::Config) -> Result<ZenohClient> {
+        // Zenoh would panic.
+        if Handle::try_current().is_ok_and(|h| h.runtime_flavor() == RuntimeFlavor::CurrentThread) {
+            return Err(Error::Runtime);
+        }
         let zenoh_session = zenoh::open(config).await.map_err(Error::Zenoh)?;
         Ok(ZenohClient { zenoh_session })
     }
@@ -207,5 +213,16 @@ impl GenerationStream {
     pub async fn next(&mut self) -> Result<GenerationInfo> {
         let sample = self.subscriber.recv_async().await.map_err(Error::Zenoh)?;
         Ok(serde_json::from_slice(&sample.payload().to_bytes())?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_single_threaded_runtime_is_an_error() {
+        let error = ZenohClient::open("tcp/127.0.0.1:1").await.unwrap_err();
+        assert!(matches!(error, Error::Runtime), "{error}");
     }
 }

@@ -37,6 +37,9 @@ pub enum Error {
     /// Zenoh could not carry the call.
     #[error("Zenoh: {0}")]
     Zenoh(#[source] zenoh::Error),
+    /// Zenoh needs Tokio's multi-threaded runtime.
+    #[error("Zenoh runs on Tokio's multi-threaded runtime only")]
+    Runtime,
     /// No daemon on this Zenoh network has the session.
     #[error("nobody answers for {0}")]
     Absent(String),
