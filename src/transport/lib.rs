@@ -28,6 +28,8 @@ pub mod http;
 mod limits;
 mod metrics;
 mod problem;
+#[cfg(test)]
+mod tests;
 
 pub use gateway::Gateway;
 pub use limits::Limits;
