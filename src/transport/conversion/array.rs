@@ -106,7 +106,9 @@ fn assemble(
         }
         ArrayKind::Delta => {
             let old = old()?;
-            let delta = artifacts.delta_from(old);
+            let delta = artifacts
+                .delta_from(old)
+                .map_err(|error| Problem::new(Kind::Internal, error.to_string()))?;
             let n = delta.columns.len();
             vec![
                 columns(names::DELTA_COLUMNS, n, &|i| delta.columns[i].clone())?,
