@@ -34,15 +34,18 @@ impl Camera {
         let axes = SymmetricEigen::new(spread);
         let [shortest, longest] = [axes.eigenvalues.imin(), axes.eigenvalues.imax()]
             .map(|axis| axes.eigenvectors.column(axis).into_owned());
+        let longest = longest * longest[longest.iamax()].signum();
         let spread_m = (axes.eigenvalues.max() / points.len().max(1) as f64).max(0.0).sqrt();
         let offset = focus - centre;
-        // A body cut in its middle has no side of its own: look at its broad side.
-        let towards_eye =
-            if offset.norm() > 0.1 * spread_m { offset.normalize() } else { shortest };
-        let upright = longest - towards_eye * longest.dot(&towards_eye);
-        let up = upright
-            .try_normalize(0.3)
-            .unwrap_or_else(|| (shortest - towards_eye * shortest.dot(&towards_eye)).normalize());
+        let aside = offset - longest * offset.dot(&longest);
+        // What lies in the body's middle or along its length is on no side of its own: look at the
+        // broad side.
+        let towards_eye = if aside.norm() > 0.1 * spread_m && aside.norm() > 0.7 * offset.norm() {
+            offset.normalize()
+        } else {
+            shortest * if offset.dot(&shortest) < 0.0 { -1.0 } else { 1.0 }
+        };
+        let up = (longest - towards_eye * longest.dot(&towards_eye)).normalize();
         let right = up.cross(&towards_eye);
         // From a little to the side and above, so that depth can be seen.
         let towards_eye = (towards_eye + 0.30 * right + 0.22 * up).normalize();
