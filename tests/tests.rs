@@ -3,6 +3,7 @@
 mod arrays;
 mod bodies;
 mod daemon;
+mod demo;
 mod edits;
 mod operations;
 mod refusals;
