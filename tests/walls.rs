@@ -18,6 +18,7 @@ const VAGUE_NAMES: [&str; 7] = ["common", "helper", "helpers", "misc", "types", 
 const STAGES: [&str; 11] = [
     "material",
     "mesh",
+    "edit",
     "assembly",
     "factorization",
     "modes",
@@ -25,7 +26,6 @@ const STAGES: [&str; 11] = [
     "basis",
     "cubature",
     "reduced",
-    "edit",
     "build",
 ];
 
