@@ -117,7 +117,7 @@ pub(crate) async fn run(args: &SubscriberArgs) -> Result<(), DemoError> {
         })?;
         let Some(state) = state.doing("receiving a state")? else { break };
         watch.see(state).await?;
-        if watch.n_frames % N_FRAMES_BETWEEN_WORDS == 0 {
+        if watch.n_frames.is_multiple_of(N_FRAMES_BETWEEN_WORDS) {
             say(&Message::Received { n_frames: watch.n_frames });
         }
     }
