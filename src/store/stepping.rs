@@ -174,7 +174,7 @@ impl SimulationHandle {
     }
 
     pub(crate) fn info(&self) -> SimulationInfo {
-        let n_active_forces = self.shared.n_active_forces.load(Ordering::Relaxed);
+        let n_active_forces = self.shared.n_active_forces.load(Ordering::Acquire);
         SimulationInfo { n_active_forces, ..self.shared.info().clone() }
     }
 
@@ -351,6 +351,7 @@ impl Running {
             info.n_late_steps += n_late;
             info.n_recovered_steps += u64::from(report.recovered);
         }
+        self.end_forces(params.dt_s);
         if self.publish_rate.is_due(params.dt_s, publish_hz) {
             self.publish();
         }
@@ -362,17 +363,23 @@ impl Running {
     fn sum_forces(&mut self, dt_s: f64) {
         self.reduced_force.clear();
         self.reduced_force.resize(self.simulation.q().len(), 0.0);
-        for active in &mut self.forces {
+        for active in &self.forces {
             let share = (active.remaining_s / dt_s).min(1.0);
             for (sum, f) in self.reduced_force.iter_mut().zip(&active.reduced) {
                 *sum += share * f;
             }
-            active.remaining_s -= dt_s;
         }
+    }
+
+    /// Drops the forces that ended within the step just taken.
+    fn end_forces(&mut self, dt_s: f64) {
         let n_before = self.forces.len();
-        // What is left by rounding alone is no force.
-        self.forces.retain(|active| active.remaining_s > 1e-9 * dt_s);
-        self.shared.n_active_forces.fetch_sub(n_before - self.forces.len(), Ordering::Relaxed);
+        self.forces.retain_mut(|active| {
+            active.remaining_s -= dt_s;
+            // What is left by rounding alone is no force.
+            active.remaining_s > 1e-9 * dt_s
+        });
+        self.shared.n_active_forces.fetch_sub(n_before - self.forces.len(), Ordering::Release);
     }
 
     fn add_forces(&mut self, forces: Vec<VertexForce>) {
