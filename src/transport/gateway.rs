@@ -69,6 +69,15 @@ impl Gateway {
         let _ = self.inner.winding_down.subscribe().wait_for(|begun| *begun).await;
     }
 
+    /// Returns once no stream is open any more, or those that are have had their time to end.
+    pub(crate) async fn streams_ended(&self) {
+        let n_places = u32::try_from(self.inner.limits.max_streams).unwrap_or(u32::MAX);
+        let all = self.inner.streams.acquire_many(n_places);
+        if tokio::time::timeout(self.inner.limits.max_send_wait, all).await.is_err() {
+            tracing::warn!("streams were cut off");
+        }
+    }
+
     /// One of the places for requests under way.
     pub(crate) fn admit_request(&self) -> Result<OwnedSemaphorePermit, Problem> {
         try_acquire(&self.inner.requests, "requests")

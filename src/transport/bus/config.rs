@@ -35,6 +35,9 @@ pub enum BusError {
     /// The daemon's name would not be one chunk of a key expression.
     #[error("the daemon name {0:?} must be 1 to 64 characters out of letters, digits, '-' and '_'")]
     DaemonName(String),
+    /// Zenoh would panic.
+    #[error("zenoh needs a multi-threaded asynchronous runtime")]
+    Runtime,
     /// The operating system refused the address.
     #[error("cannot listen on {address}: {source}")]
     Address {

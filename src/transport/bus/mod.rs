@@ -19,6 +19,7 @@ use config::{check_daemon_name, endpoint, resolve, zenoh_config};
 use query::Queries;
 use std::net::SocketAddr;
 use sutura_proto::keys;
+use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::task::JoinSet;
 use zenoh::liveliness::LivelinessToken;
 
@@ -35,6 +36,9 @@ pub struct Bus {
 /// daemon is there.
 pub async fn open(gateway: &Gateway, config: BusConfig) -> Result<Bus, BusError> {
     check_daemon_name(&config.daemon)?;
+    if Handle::current().runtime_flavor() == RuntimeFlavor::CurrentThread {
+        return Err(BusError::Runtime);
+    }
     let address = resolve(config.listen)?;
     let zenoh_session = zenoh::open(zenoh_config(&config, address)?).await?;
     let mut tasks = JoinSet::new();

@@ -119,3 +119,10 @@ async fn a_taken_address_is_an_error() {
     client.close().await.unwrap();
     bus.close().await.unwrap();
 }
+
+#[tokio::test]
+async fn a_single_threaded_runtime_is_an_error() {
+    let config = BusConfig::loopback(0, "d0");
+    let error = open(&gateway(Limits::default()), config).await.err().unwrap();
+    assert!(matches!(error, BusError::Runtime), "{error}");
+}

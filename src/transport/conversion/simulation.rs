@@ -63,7 +63,8 @@ pub(crate) fn forces(request: wire::ForceRequest) -> Result<Vec<VertexForce>, Pr
 /// The published state as bytes.
 pub(crate) fn state(frame: &Frame) -> Result<Vec<u8>, Problem> {
     let frame = StateFrame {
-        sequence: frame.sequence,
+        // The contract counts from 1.
+        sequence: frame.sequence + 1,
         time_s: frame.time_s,
         generation: frame.generation,
         rigid: frame.rigid,
@@ -109,7 +110,7 @@ mod tests {
             q: vec![1.0, -2.0],
         };
         let decoded = StateFrame::decode(&state(&frame).unwrap()).unwrap();
-        assert_eq!((decoded.sequence, decoded.generation), (3, 2));
+        assert_eq!((decoded.sequence, decoded.generation), (4, 2));
         assert_eq!((decoded.q, decoded.rigid), (frame.q, frame.rigid));
     }
 }

@@ -10,6 +10,7 @@ mod negotiation;
 mod openapi;
 mod operations;
 mod router;
+mod serve;
 mod session;
 mod simulation;
 mod stream;
@@ -18,42 +19,12 @@ pub(crate) mod tests;
 mod upload;
 
 pub use router::router;
+pub use serve::serve;
 
-use crate::gateway::Gateway;
-use crate::metrics;
 use crate::problem::Problem;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use axum::serve::ListenerExt;
-use std::future::Future;
 use sutura_proto::media;
-use tokio::net::TcpListener;
-
-/// Serves the whole API on `listener` until `stop` is ready, then winds down: streams end, requests
-/// under way are answered.
-pub async fn serve(
-    gateway: Gateway,
-    listener: TcpListener,
-    stop: impl Future<Output = ()> + Send + 'static,
-) -> std::io::Result<()> {
-    let upkeep = tokio::spawn(metrics::upkeep(gateway.recorder().clone()));
-    let observe = tokio::spawn(metrics::observe(gateway.store().clone()));
-    let router = router(gateway.clone());
-    let stopping = async move {
-        stop.await;
-        gateway.wind_down();
-    };
-    // Published states are small and must not wait for more to come.
-    let listener = listener.tap_io(|stream| {
-        if let Err(error) = stream.set_nodelay(true) {
-            tracing::debug!(%error, "a connection keeps gathering small writes");
-        }
-    });
-    let served = axum::serve(listener, router).with_graceful_shutdown(stopping).await;
-    upkeep.abort();
-    observe.abort();
-    served
-}
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
