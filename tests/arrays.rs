@@ -3,6 +3,7 @@
 use crate::bodies::{config, ready_bar, seam, stitch};
 use crate::daemon::Daemon;
 use reqwest::header;
+use sutura_client::proto::edit::{CubatureSource, EditMethod, EditRequest};
 use sutura_client::proto::evaluate::{Coordinates, EvaluateReply, EvaluateRequest, Evaluation};
 use sutura_client::proto::{media, npy};
 use sutura_client::{Array, Arrays, Basis, Delta, Evaluator, Generation, Session, Transfer};
@@ -163,7 +164,9 @@ async fn force_is_the_gradient_of_energy_and_stiffness_that_of_force() {
 async fn cubature_comes_close_to_the_sum_over_every_tet() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
-    let reply = session.edit(&stitch(&seam())).await.unwrap();
+    let request = EditRequest { method: EditMethod::FromScratch, ..stitch(&seam()) };
+    let reply = session.edit(&request).await.unwrap();
+    assert_eq!(reply.cubature.unwrap().source, CubatureSource::Retrained);
     let q = pose(&session, 0.01).await;
     let (rule, oracle) = (evaluate(&session, &q, false).await, evaluate(&session, &q, true).await);
     let difference: Vec<f64> = rule.force.iter().zip(&oracle.force).map(|(a, b)| a - b).collect();

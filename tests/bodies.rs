@@ -15,6 +15,9 @@ const EDGE_M: f64 = 0.025;
 /// Stiffness of the stitches in N/m.
 pub(crate) const STIFFNESS_N_M: f64 = 1e5;
 
+/// Relative force error of cubature asked for.
+pub(crate) const CUBATURE_TOLERANCE: f64 = 0.02;
+
 /// Vertices of each half.
 pub(crate) const N_HALF: u32 = 45;
 
@@ -84,7 +87,7 @@ pub(crate) fn config() -> SessionConfig {
         cubature: Some(CubatureConfig {
             n_points: 60,
             n_training_poses: 40,
-            tolerance: 0.02,
+            tolerance: CUBATURE_TOLERANCE,
             seed: 1,
         }),
         ..SessionConfig::new(MaterialConfig {

@@ -5,8 +5,8 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 use sutura_client::{Client, ZenohClient};
 
-/// How long a daemon may take to say where it listens, or to go down.
-const PATIENCE: Duration = Duration::from_secs(60);
+/// How long a daemon may take to go down, or to publish a state: far longer than it ever does.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A running daemon; killed when dropped.
 pub(crate) struct Daemon {

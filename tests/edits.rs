@@ -1,6 +1,8 @@
 //! The main job: from a mesh to stitched generations, over both transports.
 
-use crate::bodies::{N_HALF, STIFFNESS_N_M, bar, config, msh, ready_bar, seam, stitch};
+use crate::bodies::{
+    CUBATURE_TOLERANCE, N_HALF, STIFFNESS_N_M, bar, config, msh, ready_bar, seam, stitch,
+};
 use crate::daemon::Daemon;
 use sutura_client::Error;
 use sutura_client::proto::edit::{Edit, EditMethod, EditRequest};
@@ -51,7 +53,9 @@ async fn an_incision_is_closed_over_http_and_over_zenoh() {
     assert_eq!(reply.method, EditMethod::Flexibility);
     assert_eq!(reply.residuals.len(), reply.frequencies_hz.len());
     assert!(reply.timings_ms.total > 0.0);
-    assert!(reply.cubature.unwrap().validation_error < 0.2, "{:?}", reply.cubature);
+    let cubature = reply.cubature.unwrap();
+    let says_so = reply.warnings.iter().any(|warning| warning.contains("cubature"));
+    assert_eq!(says_so, cubature.validation_error > CUBATURE_TOLERANCE, "{:?}", reply.warnings);
 
     let bus = zenoh.session(session.id()).unwrap();
     let mut generations = bus.generations().await.unwrap();
