@@ -332,8 +332,8 @@ pub struct SessionInfo {
     pub timings_ms: BTreeMap<String, f64>,
     /// What the caller should know about the current generation, in words.
     pub warnings: Vec<String>,
-    /// The parameters in force, defaults filled in.
-    pub parameters: SessionParameters,
+    /// The parameters in force, defaults filled in; `null` while there is no generation.
+    pub parameters: Option<SessionParameters>,
     /// Why the build failed.
     pub error: Option<Problem>,
 }

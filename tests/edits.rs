@@ -32,7 +32,7 @@ async fn an_incision_is_closed_over_http_and_over_zenoh() {
     assert!(info.frequencies_hz.is_sorted() && info.frequencies_hz[0] > 0.0);
     assert_eq!(info.name.as_deref(), Some("bar"));
     assert!(info.memory_bytes > 0);
-    assert_eq!(info.parameters.domain_materials[&2].young_modulus_pa, 5e5);
+    assert_eq!(info.parameters.as_ref().unwrap().domain_materials[&2].young_modulus_pa, 5e5);
 
     let pairs = seam();
     let (first, second) = pairs.split_at(5);

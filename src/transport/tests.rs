@@ -131,7 +131,7 @@ async fn a_session_is_opened_listed_edited_forked_and_ended() {
     assert_eq!((info.n_vertices, info.n_tets), (2 * N_BAR as usize, 2 * 6 * LENGTH as usize));
     assert_eq!((info.n_components, info.n_rigid_modes, info.n_modes), (2, 6, 6));
     assert_eq!(info.frequencies_hz.len(), 6);
-    assert_eq!(info.parameters.basis.size, 16);
+    assert_eq!(info.parameters.as_ref().unwrap().basis.size, 16);
     let list: SessionList = door.get("/v1/sessions").await;
     assert_eq!((list.sessions, list.next), (vec![info], None));
 

@@ -194,9 +194,7 @@ pub(crate) fn info(info: &SessionInfo) -> wire::SessionInfo {
         memory_bytes: artifacts.map_or(0, |a| a.memory_bytes() as u64),
         timings_ms: artifacts.map(|a| stage_milliseconds(a.timings())).unwrap_or_default(),
         warnings: artifacts.map(|a| a.warnings().to_vec()).unwrap_or_default(),
-        parameters: artifacts
-            .map(|a| parameters(a.params(), mesh))
-            .unwrap_or_else(unknown_parameters),
+        parameters: artifacts.map(|a| parameters(a.params(), mesh)),
         error: info.error.as_deref().map(|error| problem::of_build(error).to_document()),
     }
 }
@@ -208,20 +206,6 @@ pub(crate) fn state(state: SessionState) -> wire::SessionState {
         SessionState::Ready => wire::SessionState::Ready,
         SessionState::Rebuilding => wire::SessionState::Rebuilding,
         SessionState::Failed => wire::SessionState::Failed,
-    }
-}
-
-/// Shown until the first generation can tell.
-fn unknown_parameters() -> wire::SessionParameters {
-    wire::SessionParameters {
-        domain_materials: BTreeMap::new(),
-        n_fixed_vertices: 0,
-        mass: MassConfig::default(),
-        n_modes: 0,
-        basis: BasisConfig { size: 0, n_derivative_modes: 0 },
-        cubature: None,
-        damping: DampingConfig { rayleigh_mass_per_s: 0.0, rayleigh_stiffness_s: 0.0 },
-        n_seam_pairs: 0,
     }
 }
 
