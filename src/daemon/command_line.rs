@@ -1,5 +1,6 @@
 //! The command line. Flags override environment variables, which override the file.
 
+use crate::client::{InfoArgs, StitchArgs, WatchArgs};
 use crate::config::{Config, ConfigError, LogFormat, ZenohEndpoint};
 use crate::demo::{DemoArgs, SUBSCRIBER_COMMAND, SubscriberArgs};
 use clap::builder::FalseyValueParser;
@@ -21,6 +22,12 @@ pub(crate) struct CommandLine {
 pub(crate) enum Command {
     /// Serve bodies over HTTP and Zenoh until SIGTERM or SIGINT.
     Serve(ServeArgs),
+    /// Show the sessions of a running daemon, or one of them.
+    Info(InfoArgs),
+    /// Stitch a body of a running daemon.
+    Stitch(StitchArgs),
+    /// Follow what happens to a session of a running daemon.
+    Watch(WatchArgs),
     /// Show the main job on a bundled stomach, or on your own mesh, and leave a report and pictures.
     Demo(DemoArgs),
     /// Watch a simulation for `demo`.

@@ -105,3 +105,34 @@ impl Daemon {
         tracing::info!("stopped");
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sutura_client::{Client, ZenohClient};
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_daemon_serves_both_doors_from_its_start_to_its_stop() {
+        let mut config = Config::default();
+        config.http.listen.set_port(0);
+        config.zenoh.listen.0.set_port(0);
+        config.zenoh.daemon = Some("door-keeper".into());
+        let recorder = sutura_transport::install_recorder().unwrap();
+        let daemon = Daemon::start(&config, recorder.clone()).await.unwrap();
+        let (url, endpoint) = (daemon.http_url(), daemon.zenoh_endpoint());
+
+        let http = Client::connect(&url).await.unwrap();
+        assert!(http.list(None, 10).await.unwrap().sessions.is_empty());
+        let zenoh = ZenohClient::open(&endpoint).await.unwrap();
+        assert_eq!(zenoh.daemons().await.unwrap(), ["door-keeper"]);
+        zenoh.close().await.unwrap();
+
+        // A second daemon finds the address taken, and says which.
+        config.http.listen = url.strip_prefix("http://").unwrap().parse().unwrap();
+        let refused = Daemon::start(&config, recorder).await.err().unwrap();
+        assert!(refused.to_string().contains(&config.http.listen.to_string()), "{refused}");
+
+        daemon.stop().await;
+        assert!(Client::connect(&url).await.is_err());
+    }
+}

@@ -1,5 +1,6 @@
 //! The sutura daemon and command line.
 
+mod client;
 mod command_line;
 mod config;
 mod daemon;
@@ -23,11 +24,15 @@ const FAILED: u8 = 1;
 fn main() -> ExitCode {
     let result = match CommandLine::parse().command {
         Command::Serve(args) => block_on(serve(args)),
+        Command::Info(args) => block_on(async { Ok(client::info(args).await?) }),
+        Command::Stitch(args) => block_on(async { Ok(client::stitch(args).await?) }),
+        Command::Watch(args) => block_on(async { Ok(client::watch(args).await?) }),
         Command::Demo(args) => block_on(demonstrate(args)),
         Command::DemoSubscriber(args) => block_on(watch(args)),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
+        Err(Failure::Client(error)) if error.is_closed_pipe() => ExitCode::SUCCESS,
         Err(failure) => {
             eprintln!("sutura: {}", failure.to_string().trim_end());
             if let Failure::Demo(error) = &failure {
@@ -95,6 +100,8 @@ enum Failure {
     #[error(transparent)]
     System(#[from] std::io::Error),
     #[error(transparent)]
+    Client(#[from] client::ClientError),
+    #[error(transparent)]
     Demo(#[from] DemoError),
     #[error("{0} again: stopped without waiting for work under way")]
     Impatient(&'static str),
@@ -104,10 +111,12 @@ impl Failure {
     fn exit_code(&self) -> u8 {
         match self {
             Failure::Config(_) | Failure::LogFilter(_) => BAD_INPUT,
+            Failure::Client(error) if error.is_bad_input() => BAD_INPUT,
             Failure::Demo(error) if error.is_bad_input() => BAD_INPUT,
             Failure::Start(_)
             | Failure::Metrics(_)
             | Failure::System(_)
+            | Failure::Client(_)
             | Failure::Demo(_)
             | Failure::Impatient(_) => FAILED,
         }
