@@ -20,3 +20,5 @@ pub mod material;
 pub mod mesh;
 pub mod modes;
 pub mod reduced;
+#[cfg(any(test, feature = "testing"))]
+pub mod testing;

@@ -1,0 +1,193 @@
+//! Reduced dynamics.
+
+use crate::bodies::{bar, column, dot, params};
+use std::f64::consts::TAU;
+use std::sync::Arc;
+use sutura_core::build::{self, Artifacts, BuildParams, RayleighDamping};
+use sutura_core::control::Uncontrolled;
+use sutura_core::linalg;
+use sutura_core::reduced::{Integrator, Simulation, SimulationError, SimulationParams};
+use sutura_core::testing::Cut;
+
+fn body(damping: RayleighDamping) -> Artifacts {
+    let bar = bar(Cut::HalfDepth);
+    // Everything kept, so that the subspace holds the modes exactly.
+    let params = BuildParams { basis_size: 1000, damping, ..params(&bar, 8) };
+    build::build(bar.mesh, &params, &Uncontrolled).unwrap()
+}
+
+const UNDAMPED: RayleighDamping = RayleighDamping { mass_per_s: 0.0, stiffness_s: 0.0 };
+
+fn simulation(body: &Artifacts, dt_s: f64) -> Simulation {
+    let params =
+        SimulationParams { dt_s, integrator: Integrator::ImplicitNewmark, gravity_m_s2: [0.0; 3] };
+    Simulation::new(body.model().clone(), params).unwrap()
+}
+
+/// The first mode in reduced coordinates.
+fn first_mode(body: &Artifacts) -> Vec<f64> {
+    let model = body.full_model();
+    let mass = model.mass(body.params().mass, &Arc::new(model.pattern(&[])));
+    let all = body.mode(0);
+    let free: Vec<f64> =
+        model.free_vertices().iter().flat_map(|&v| all[3 * v as usize..][..3].to_vec()).collect();
+    mass.inner(body.basis(), column(&free)).col_as_slice(0).to_vec()
+}
+
+#[test]
+fn a_small_oscillation_has_the_frequency_of_its_mode() {
+    let body = body(UNDAMPED);
+    let omega = TAU * body.frequencies_hz()[0];
+    let mode = first_mode(&body);
+    let dt = TAU / omega / 40.0;
+    let mut simulation = simulation(&body, dt);
+    let push: Vec<f64> = mode.iter().map(|x| 1e-4 * x).collect();
+    simulation.step(&push);
+    let rest = vec![0.0; mode.len()];
+    let mut crossings = Vec::new();
+    let mut last = dot(simulation.q(), &mode);
+    while crossings.len() < 41 {
+        simulation.step(&rest);
+        let now = dot(simulation.q(), &mode);
+        if (last < 0.0) != (now < 0.0) {
+            crossings.push(simulation.time_s() - dt * now / (now - last));
+        }
+        last = now;
+    }
+    let measured = TAU * 20.0 / (crossings[40] - crossings[0]);
+    // Average acceleration stretches the period in a known way: tan(ω'dt/2) = ωdt/2.
+    let expected = 2.0 / dt * (omega * dt / 2.0).atan();
+    assert!((measured / expected - 1.0).abs() < 1e-4, "{measured} {expected} {omega}");
+}
+
+#[test]
+fn energy_neither_grows_nor_fades_without_damping() {
+    let body = body(UNDAMPED);
+    let dt = 1.0 / body.frequencies_hz()[0] / 100.0;
+    let mut simulation = simulation(&body, dt);
+    let tip = body.full_model().free_vertices().last().copied().unwrap();
+    let push = body.vertex_load(tip, [0.0, 2.0, 1.0]);
+    for _ in 0..30 {
+        simulation.step(&push);
+    }
+    let energy = |s: &Simulation| {
+        0.5 * dot(s.velocity(), s.velocity()) + body.model().evaluate(s.q()).energy_j
+    };
+    let rest = vec![0.0; push.len()];
+    // The step in which the load goes still does work: count from the one after it.
+    simulation.step(&rest);
+    let start = energy(&simulation);
+    let u = linalg::product(body.basis(), column(simulation.q()));
+    assert!(u.norm_max() > 0.005, "a motion well beyond the linear range: {}", u.norm_max());
+    let mut worst = 0.0f64;
+    for _ in 0..1000 {
+        let report = simulation.step(&rest);
+        assert_eq!((report.n_substeps, report.recovered), (1, false));
+        worst = worst.max((energy(&simulation) / start - 1.0).abs());
+    }
+    assert!(worst < 0.02, "energy drifted by {worst:e}");
+}
+
+#[test]
+fn damping_takes_energy_at_the_rate_it_is_given() {
+    // Mass-proportional damping α makes a mode fade like exp(−αt/2).
+    let alpha = 2.0;
+    let body = body(RayleighDamping { mass_per_s: alpha, stiffness_s: 0.0 });
+    let mode = first_mode(&body);
+    let dt = 1.0 / body.frequencies_hz()[0] / 100.0;
+    let mut simulation = simulation(&body, dt);
+    simulation.step(&mode.iter().map(|x| 1e-4 * x).collect::<Vec<_>>());
+    let energy = |s: &Simulation| {
+        0.5 * dot(s.velocity(), s.velocity()) + body.model().evaluate(s.q()).energy_j
+    };
+    // The step in which the load goes still does work: count from the one after it.
+    let rest = vec![0.0; mode.len()];
+    simulation.step(&rest);
+    let (start, from) = (energy(&simulation), simulation.time_s());
+    for _ in 0..400 {
+        simulation.step(&rest);
+    }
+    let rate = (start / energy(&simulation)).ln() / (simulation.time_s() - from);
+    assert!((rate / alpha - 1.0).abs() < 0.02, "{rate}");
+}
+
+#[test]
+fn gravity_settles_on_the_static_solution() {
+    let body = body(RayleighDamping { mass_per_s: 20.0, stiffness_s: 0.002 });
+    let params = SimulationParams {
+        dt_s: 0.02,
+        integrator: Integrator::ImplicitNewmark,
+        gravity_m_s2: [0.0, -3.0, 0.0],
+    };
+    let mut simulation = Simulation::new(body.model().clone(), params).unwrap();
+    let r = body.basis_size();
+    for _ in 0..400 {
+        simulation.step(&vec![0.0; r]);
+    }
+    let masses = body.lumped_mass_kg();
+    let load = body.full_model().free_vertices().iter().fold(vec![0.0; r], |sum, &v| {
+        let weight = body.vertex_load(v, [0.0, -3.0 * masses[v as usize], 0.0]);
+        sum.iter().zip(weight).map(|(a, b)| a + b).collect()
+    });
+    let settled = body.model().solve_static(&load, &vec![0.0; r]).unwrap();
+    let gap: Vec<f64> = settled.iter().zip(simulation.q()).map(|(a, b)| a - b).collect();
+    assert!(dot(&gap, &gap).sqrt() < 1e-5 * dot(&settled, &settled).sqrt());
+}
+
+#[test]
+fn a_violent_load_never_leaves_a_number_that_is_not_finite() {
+    let body = body(UNDAMPED);
+    let tip = body.full_model().free_vertices().last().copied().unwrap();
+    let finite = |s: &Simulation| s.q().iter().chain(s.velocity()).all(|x| x.is_finite());
+    let mut was_split = false;
+    let mut was_recovered = false;
+    for force_n in [1e2, 1e5, 1e10, 1e30, 1e200, f64::MAX] {
+        let mut simulation = simulation(&body, 0.05);
+        for step in 0..20 {
+            let sign = if step % 2 == 0 { 1.0 } else { -1.0 };
+            let report = simulation.step(&body.vertex_load(tip, [-sign * force_n, force_n, 0.0]));
+            assert!(finite(&simulation), "{force_n:e} N");
+            was_split |= report.n_substeps > 1;
+            was_recovered |= report.recovered;
+        }
+    }
+    assert!(was_split && was_recovered);
+    for bad in [f64::NAN, f64::INFINITY] {
+        let mut simulation = simulation(&body, 0.01);
+        simulation.step(&body.vertex_load(tip, [0.0, 0.01, 0.0]));
+        let q = simulation.q().to_vec();
+        assert!(simulation.step(&vec![bad; body.basis_size()]).recovered);
+        // It stays where it was, at rest, and goes on.
+        assert_eq!(simulation.q(), q);
+        assert!(simulation.velocity().iter().all(|v| *v == 0.0));
+        assert!(!simulation.step(&vec![0.0; body.basis_size()]).recovered);
+        assert!(finite(&simulation));
+    }
+}
+
+#[test]
+fn simulations_that_cannot_run_are_refused() {
+    let bar = bar(Cut::Through);
+    let free = build::build(bar.mesh.clone(), &params(&bar, 6), &Uncontrolled).unwrap();
+    let good = SimulationParams {
+        dt_s: 0.01,
+        integrator: Integrator::ImplicitNewmark,
+        gravity_m_s2: [0.0; 3],
+    };
+    let error = Simulation::new(free.model().clone(), good).err();
+    assert_eq!(error, Some(SimulationError::Free { n_rigid_modes: 6 }));
+
+    let held = body(UNDAMPED);
+    for dt_s in [0.0, -0.1, f64::NAN, f64::INFINITY, 2.0] {
+        let error = Simulation::new(held.model().clone(), SimulationParams { dt_s, ..good });
+        assert!(matches!(error, Err(SimulationError::TimeStep(_))), "{dt_s}");
+    }
+    let gravity = SimulationParams { gravity_m_s2: [0.0, f64::NAN, 0.0], ..good };
+    let error = Simulation::new(held.model().clone(), gravity).err();
+    assert_eq!(error, Some(SimulationError::Gravity));
+
+    let mut running = simulation(&held, 0.01);
+    let error = running.switch(held.model().clone(), &[1.0; 3]).unwrap_err();
+    let expected = held.basis_size().pow(2);
+    assert_eq!(error, SimulationError::Transfer { given: 3, expected });
+}

@@ -1,0 +1,13 @@
+//! Tests of the core against mathematics, against other codes and against itself. One binary; the
+//! files beside this one are its modules, each a subject.
+
+mod bodies;
+mod full_model;
+mod generations;
+mod modes;
+mod newmark;
+mod reduced;
+mod references;
+mod refusals;
+mod updates;
+mod vega;
