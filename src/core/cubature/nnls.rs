@@ -133,7 +133,11 @@ mod tests {
     use crate::linalg;
 
     fn problem(rows: usize, columns: usize, truth: &[(usize, f64)]) -> (Mat<f64>, Vec<f64>, f64) {
-        let a = Mat::from_fn(rows, columns, |i, j| ((i * 37 + j * 101) as f64 * 0.731).sin() + 0.2);
+        // A hash, not a sine: sines of sums have rank two.
+        let a = Mat::from_fn(rows, columns, |i, j| {
+            let h = ((i * 8191 + j * 131) as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            (h >> 40) as f64 / (1u64 << 24) as f64 - 0.3
+        });
         let b = Mat::from_fn(rows, 1, |i, _| truth.iter().map(|&(j, w)| w * a[(i, j)]).sum());
         let p = linalg::gram(a.as_ref(), b.as_ref());
         let projection = (0..columns).map(|j| p[(j, 0)]).collect();

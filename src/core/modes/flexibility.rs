@@ -186,15 +186,11 @@ pub fn update(problem: &Update<'_>, control: &dyn Control) -> Result<Updated, Mo
         let (theta, c) = space.ritz()?;
         let available = theta.len().saturating_sub(n_rigid_left).min(kept);
         let wanted = n_modes.min(available);
-        let shapes = linalg::product(space.s.as_ref(), c.subcols(n_rigid_left, available));
+        let shapes = linalg::product(space.s.as_ref(), c.subcols(n_rigid_left, wanted));
         let eigenvalues: Vec<f64> =
-            theta[n_rigid_left..][..available].iter().map(|t| t.recip() - sigma).collect();
-        let residual = residual_vectors(
-            stitched.multiply(shapes.as_ref()),
-            mass,
-            shapes.as_ref(),
-            &eigenvalues,
-        );
+            theta[n_rigid_left..][..wanted].iter().map(|t| t.recip() - sigma).collect();
+        let product = stitched.multiply(shapes.as_ref());
+        let residual = residual_vectors(product, mass, shapes.as_ref(), &eigenvalues);
         let solved = stitched.solve(residual.as_ref());
         let residuals = relative_residuals(residual.as_ref(), solved.as_ref(), &eigenvalues, sigma);
         let beyond = theta.get(n_rigid_left + available).copied().unwrap_or(0.0);
@@ -214,13 +210,9 @@ pub fn update(problem: &Update<'_>, control: &dyn Control) -> Result<Updated, Mo
         let unaccepted: Vec<usize> = (0..wanted).filter(|&i| !accepted(i)).collect();
         if unaccepted.is_empty() || round == MOST_ROUNDS {
             // The Ritz vectors are orthonormal to about 1e-10 where large rigid parts cancelled.
-            let shapes = shapes.subcols(0, wanted);
-            let gram = linalg::SmallCholesky::new(mass.inner(shapes, shapes).as_ref())?;
-            let modes = LinearModes {
-                shapes: gram.orthonormalize(shapes),
-                eigenvalues: eigenvalues[..wanted].to_vec(),
-            };
-            let residuals = residuals[..wanted].to_vec();
+            let gram =
+                linalg::SmallCholesky::new(mass.inner(shapes.as_ref(), shapes.as_ref()).as_ref())?;
+            let modes = LinearModes { shapes: gram.orthonormalize(shapes.as_ref()), eigenvalues };
             return Ok(Updated { modes, residuals, error_estimates, n_rounds: round });
         }
         let pick =
