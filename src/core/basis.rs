@@ -1,7 +1,7 @@
 //! The basis of the subspace: mass-weighted principal component analysis of scaled modes and modal
 //! derivatives.
 //!
-//! Weights are those of [B12] eq. 18, λ₁/λ_j on modes and λ₁²/(λ_iλ_j) on derivatives. ([M16] §4.2.2
+//! Weights are those of \[B12\] eq. 18, λ₁/λ_j on modes and λ₁²/(λ_iλ_j) on derivatives. (\[M16\] §4.2.2
 //! prints them the other way up, which would favour high frequencies against the purpose it
 //! states.) Derivatives are scaled to unit mass norm first: mass-normalised modes and their
 //! derivatives have different units, and which would dominate depended on the unit of length.

@@ -1,4 +1,4 @@
-//! Modal derivatives: K̂ Φ_ij = −(H:φ_i)φ_j ([M16] eq. 13, [B12] eq. 15).
+//! Modal derivatives: K̂ Φ_ij = −(H:φ_i)φ_j (\[M16\] eq. 13, \[B12\] eq. 15).
 //!
 //! The right-hand sides use the stiffness's derivative at rest, which stitches do not change. A body
 //! with rigid motions has a singular K̂; then (and wherever only the shifted factor exists) the
@@ -21,10 +21,10 @@ pub const SOLVE_TOLERANCE: f64 = 1e-2;
 /// Conjugate-gradient steps before the solution is taken as it is.
 const MOST_STEPS: usize = 60;
 
-/// Share of the base body's right-hand sides that an update reuses ([M16] §4.2.1).
+/// Share of the base body's right-hand sides that an update reuses (\[M16\] §4.2.1).
 pub const REUSED_SHARE: f64 = 0.4;
 
-/// Modes of an updated body whose pairs give new derivatives ([M16] §4.2.1).
+/// Modes of an updated body whose pairs give new derivatives (\[M16\] §4.2.1).
 pub const NEW_DERIVATIVE_MODES: usize = 6;
 
 /// Every pair i ≤ j of `k` modes, those of the lowest modes first.
@@ -38,22 +38,12 @@ pub fn right_hand_sides(
     shapes: MatRef<'_, f64>,
     control: &dyn Control,
 ) -> Result<Mat<f64>, Cancelled> {
-    let gradients: Vec<_> = (0..shapes.ncols())
-        .map(|j| {
-            let column: Vec<f64> = shapes.col(j).iter().copied().collect();
-            model.displacement_gradients(&column)
-        })
-        .collect();
-    let pairs = pairs(shapes.ncols());
-    let mut all = Mat::zeros(model.n(), pairs.len());
-    for (column, [i, j]) in pairs.iter().enumerate() {
-        control::check(control)?;
-        control.progress(Stage::Derivatives, 0.7 * column as f64 / pairs.len() as f64);
-        let force = model.second_derivative_at_rest(&gradients[*i], &gradients[*j]);
-        for (to, from) in all.col_as_slice_mut(column).iter_mut().zip(force) {
-            *to = -from;
-        }
+    control::check(control)?;
+    let mut all = model.second_derivatives_at_rest(shapes, &pairs(shapes.ncols()));
+    for j in 0..all.ncols() {
+        all.col_as_slice_mut(j).iter_mut().for_each(|x| *x = -*x);
     }
+    control.progress(Stage::Derivatives, 0.5);
     Ok(all)
 }
 

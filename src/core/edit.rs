@@ -5,7 +5,7 @@ use crate::mesh::TetMesh;
 /// Identifies a stitch within its session; never used twice.
 pub type StitchId = u64;
 
-/// A zero-length spring between two co-located vertices ([M16] eq. 4, 5).
+/// A zero-length spring between two co-located vertices (\[M16\] eq. 4, 5).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stitch {
     /// Its name in later edits.

@@ -16,6 +16,21 @@ const ROW_CHUNK: usize = 4096;
 #[error("a dense {0} failed")]
 pub struct DenseError(pub &'static str);
 
+/// Runs `f` compiled for the best instruction set that this processor has. Only what is inlined into
+/// `f` gains: mark `f` and what it calls `#[inline(always)]`.
+pub fn vectorized<R>(f: impl FnMut() -> R) -> R {
+    struct Operation<F>(F);
+    impl<R, F: FnMut() -> R> pulp::WithSimd for Operation<F> {
+        type Output = R;
+        // Through FnMut: calling a closure as FnOnce goes through a shim that is not inlined.
+        #[inline(always)]
+        fn with_simd<S: pulp::Simd>(mut self, _: S) -> R {
+            (self.0)()
+        }
+    }
+    pulp::Arch::new().dispatch(Operation(f))
+}
+
 /// Makes faer's implicit global parallelism sequential; called by everything that decomposes.
 fn sequential() {
     static ONCE: std::sync::Once = std::sync::Once::new();
@@ -167,6 +182,15 @@ pub fn concatenate(parts: &[MatRef<'_, f64>]) -> Mat<f64> {
         at += part.ncols();
     }
     all
+}
+
+/// The chosen columns of `a`.
+pub fn columns(a: &Mat<f64>, chosen: &[usize]) -> Mat<f64> {
+    let mut some = Mat::zeros(a.nrows(), chosen.len());
+    for (to, &from) in chosen.iter().enumerate() {
+        some.col_as_slice_mut(to).copy_from_slice(a.col_as_slice(from));
+    }
+    some
 }
 
 /// Bytes of a dense matrix.

@@ -4,11 +4,13 @@
 //! ascending order, vertex-major (dof = 3·vertex + axis). Displacements in m, forces in N,
 //! energies in J.
 
+pub mod blocks;
 pub mod mass;
 pub mod sparse;
 
 use crate::material::{Material, stvk};
 use crate::mesh::{NO_COMPONENT, TetMesh};
+use blocks::{ElementBlocks, GradientField};
 use faer::{Mat, MatRef};
 use mass::Mass;
 use nalgebra::{Matrix3, Vector3};
@@ -36,13 +38,14 @@ pub struct FullModel {
     /// For each free vertex the (tet, corner) pairs that touch it: `incidence[incidence_start[v]..]`.
     incidence_start: Vec<usize>,
     incidence: Vec<(u32, u8)>,
+    blocks: ElementBlocks,
 }
 
 impl FullModel {
     /// `materials` has one entry for each domain of the mesh; `fixed` lists valid vertices.
     pub fn new(mesh: Arc<TetMesh>, materials: &[Material], fixed: &[u32]) -> FullModel {
         let x = |v: u32| Vector3::from(mesh.vertices()[v as usize]);
-        let (gradients, volumes_m3) = mesh
+        let (gradients, volumes_m3): (Vec<_>, Vec<_>) = mesh
             .tets()
             .par_iter()
             .map(|t| {
@@ -62,7 +65,7 @@ impl FullModel {
             .unzip();
         let of_tet = |t: usize| &materials[mesh.domain_of_tet()[t] as usize];
         let n_tets = mesh.tets().len();
-        let lame = (0..n_tets).map(|t| of_tet(t).lame().into()).collect();
+        let lame: Vec<[f64; 2]> = (0..n_tets).map(|t| of_tet(t).lame().into()).collect();
         let density_kg_m3 = (0..n_tets).map(|t| of_tet(t).density_kg_m3()).collect();
 
         let mut free: Vec<bool> =
@@ -79,6 +82,8 @@ impl FullModel {
         let corners: Vec<[u32; 4]> =
             mesh.tets().iter().map(|t| t.map(|v| free_of_vertex[v as usize])).collect();
         let (incidence_start, incidence) = incidences(free_vertices.len(), &corners);
+        let blocks =
+            ElementBlocks::new(3 * free_vertices.len(), &corners, &gradients, &volumes_m3, &lame);
         FullModel {
             mesh,
             gradients,
@@ -90,6 +95,7 @@ impl FullModel {
             corners,
             incidence_start,
             incidence,
+            blocks,
         }
     }
 
@@ -217,16 +223,9 @@ impl FullModel {
         BlockMatrix::new(pattern.clone(), blocks)
     }
 
-    /// Internal force +∂Ψ/∂u at `u`.
-    pub fn internal_force(&self, u: &[f64]) -> Vec<f64> {
-        let stresses: Vec<Matrix3<f64>> = (0..self.corners.len())
-            .into_par_iter()
-            .map(|tet| {
-                stvk::stress(&self.displacement_gradient(tet, u), self.lame[tet])
-                    * self.volumes_m3[tet]
-            })
-            .collect();
-        self.gather(&stresses)
+    /// Internal force +∂Ψ/∂u at each column of `u` (n×t).
+    pub fn internal_forces(&self, u: MatRef<'_, f64>) -> Mat<f64> {
+        self.blocks.internal_forces(u)
     }
 
     /// Strain energy at `u`, summed in a fixed order.
@@ -241,25 +240,13 @@ impl FullModel {
         parts.iter().sum()
     }
 
-    /// ∇u of each tet for one displacement vector.
-    pub fn displacement_gradients(&self, u: &[f64]) -> Vec<Matrix3<f64>> {
-        (0..self.corners.len())
+    /// (H:x_i)x_j = D²f_int(0)[x_i, x_j] of columns of `x` (n×k) for each pair: n × pairs.
+    pub fn second_derivatives_at_rest(&self, x: MatRef<'_, f64>, pairs: &[[usize; 2]]) -> Mat<f64> {
+        let fields: Vec<GradientField> = (0..x.ncols())
             .into_par_iter()
-            .map(|tet| self.displacement_gradient(tet, u))
-            .collect()
-    }
-
-    /// (H:v)w = D²f_int(0)[v, w] from the displacement gradients of v and w
-    /// ([`FullModel::displacement_gradients`]).
-    pub fn second_derivative_at_rest(&self, v: &[Matrix3<f64>], w: &[Matrix3<f64>]) -> Vec<f64> {
-        let stresses: Vec<Matrix3<f64>> = (0..self.corners.len())
-            .into_par_iter()
-            .map(|tet| {
-                stvk::stress_second_derivative_at_rest(&v[tet], &w[tet], self.lame[tet])
-                    * self.volumes_m3[tet]
-            })
+            .map(|j| self.blocks.gradient_field(x.col(j).iter().copied()))
             .collect();
-        self.gather(&stresses)
+        self.blocks.second_derivatives_at_rest(&fields, pairs)
     }
 
     /// ∇u of one tet: Σ_a u_a ⊗ ∇N_a.
@@ -272,22 +259,6 @@ impl FullModel {
             }
         }
         gradient
-    }
-
-    /// Forces of stresses that are already multiplied by the tets' volumes: f_a = Σ_tets P ∇N_a.
-    fn gather(&self, stresses: &[Matrix3<f64>]) -> Vec<f64> {
-        let mut force = vec![0.0; self.n()];
-        force.par_chunks_exact_mut(3).enumerate().for_each(|(v, f)| {
-            let mut sum = Vector3::zeros();
-            for &(tet, corner) in
-                &self.incidence[self.incidence_start[v]..self.incidence_start[v + 1]]
-            {
-                sum += stresses[tet as usize]
-                    * Vector3::from(self.gradients[tet as usize][corner as usize]);
-            }
-            f.copy_from_slice(sum.as_slice());
-        });
-        force
     }
 
     /// Adds `term(tet, a, b)` to the entry (corner a, corner b) of every tet, row by row: each row
@@ -333,6 +304,7 @@ impl FullModel {
             + size_of_val(&self.lame[..])
             + size_of_val(&self.corners[..]) * 2
             + size_of_val(&self.incidence[..])
+            + self.blocks.bytes()
             + self.free_of_vertex.len() * (24 + 4 + 4 + 4)
     }
 }

@@ -1,6 +1,7 @@
 //! Symmetric sparse matrices over vertices, stored whole by rows: 3×3 blocks ([`BlockMatrix`])
 //! on a pattern shared by stiffness and consistent mass ([`Pattern`]).
 
+use crate::linalg;
 use faer::{Mat, MatRef};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -84,6 +85,9 @@ pub struct BlockMatrix {
 /// Columns of a block of vectors that one pass over the matrix multiplies.
 const LANES: usize = 8;
 
+/// Block rows that one task multiplies.
+const ROWS_PER_TASK: usize = 512;
+
 impl BlockMatrix {
     /// A matrix on `pattern` with the given blocks, one for each entry.
     pub fn new(pattern: Arc<Pattern>, blocks: Vec<[f64; 9]>) -> BlockMatrix {
@@ -113,6 +117,7 @@ impl BlockMatrix {
         assert_eq!(x.nrows(), self.n());
         let mut y = Mat::zeros(self.n(), x.ncols());
         let mut packed = vec![[0.0f64; LANES]; self.n()];
+        let mut rows = vec![[[0.0f64; LANES]; 3]; self.pattern.n()];
         for first in (0..x.ncols()).step_by(LANES) {
             let lanes = LANES.min(x.ncols() - first);
             for lane in 0..lanes {
@@ -120,8 +125,16 @@ impl BlockMatrix {
                     packed[lane] = *value;
                 }
             }
-            let rows: Vec<[[f64; LANES]; 3]> =
-                (0..self.pattern.n()).into_par_iter().map(|v| self.row_times(v, &packed)).collect();
+            rows.par_chunks_mut(ROWS_PER_TASK).enumerate().for_each(|(chunk, rows)| {
+                linalg::vectorized(
+                    #[inline(always)]
+                    || {
+                        for (i, row) in rows.iter_mut().enumerate() {
+                            *row = self.row_times(chunk * ROWS_PER_TASK + i, &packed);
+                        }
+                    },
+                );
+            });
             for lane in 0..lanes {
                 let column = y.col_as_slice_mut(first + lane);
                 for (three, row) in column.chunks_exact_mut(3).zip(&rows) {
@@ -134,6 +147,7 @@ impl BlockMatrix {
         y
     }
 
+    #[inline(always)]
     fn row_times(&self, vertex: usize, packed: &[[f64; LANES]]) -> [[f64; LANES]; 3] {
         let mut sum = [[0.0; LANES]; 3];
         for entry in self.pattern.range(vertex) {

@@ -27,6 +27,8 @@ pub enum CubatureSource {
     Reused,
     /// Points of the previous generation, weights fitted anew.
     Refitted,
+    /// Chosen and fitted anew, because the previous points no longer served.
+    Retrained,
 }
 
 /// What is known of a generation's cubature rule.
@@ -80,6 +82,8 @@ pub struct Artifacts {
     pub(super) basis: Mat<f64>,
     pub(super) rule: Rule,
     pub(super) cubature: Option<CubatureReport>,
+    /// Validation error of the rule when it was last trained.
+    pub(super) trained_error: f64,
     pub(super) model: Arc<ReducedModel>,
     pub(super) timings: Vec<(Stage, Duration)>,
     pub(super) warnings: Vec<String>,
@@ -253,25 +257,22 @@ impl Artifacts {
     /// cubature.
     pub fn evaluate_exact(&self, q: &[f64]) -> Evaluation {
         let model = &self.prepared.model;
+        let basis = self.basis.as_ref();
         let r = self.basis_size();
         let q = Mat::from_fn(r, 1, |i, _| q[i]);
-        let u = linalg::product(self.basis.as_ref(), q.as_ref());
-        let u = u.col_as_slice(0);
-        let a = StitchMatrix::new(model, self.stitches.as_slice());
-        let stretch = a.transpose_times(self.basis.as_ref());
+        let u = linalg::product(basis, q.as_ref());
+        let stretch = StitchMatrix::new(model, self.stitches.as_slice()).transpose_times(basis);
         let stitched = linalg::gram(stretch.as_ref(), stretch.as_ref());
         let stitch_force = linalg::small_product(stitched.as_ref(), q.as_ref());
-        let internal = model.internal_force(u);
-        let internal = MatRef::from_column_major_slice(&internal, internal.len(), 1);
-        let mut force = linalg::gram(self.basis.as_ref(), internal);
+        let stitch_energy: f64 = q.col(0).transpose() * stitch_force.col(0);
+        let mut force = linalg::gram(basis, model.internal_forces(u.as_ref()).as_ref());
         force += &stitch_force;
+        let u = u.col_as_slice(0);
         let tangent = model.tangent_stiffness(u, self.prepared.stiffness.pattern());
-        let mut stiffness =
-            linalg::gram(self.basis.as_ref(), tangent.multiply(self.basis.as_ref()).as_ref());
+        let mut stiffness = linalg::gram(basis, tangent.multiply(basis).as_ref());
         stiffness += stitched;
-        let energy: f64 = q.col(0).transpose() * stitch_force.col(0);
         Evaluation {
-            energy_j: model.energy(u) + 0.5 * energy,
+            energy_j: model.energy(u) + 0.5 * stitch_energy,
             force: (0..r).map(|i| force[(i, 0)]).collect(),
             stiffness: rows(&stiffness),
         }

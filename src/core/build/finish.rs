@@ -21,6 +21,10 @@ const LEAST_VALIDATION_POSES: usize = 10;
 /// Validation poses come from another stream than training poses.
 const VALIDATION_SEED: u64 = 0x9e37_79b9_7f4a_7c15;
 
+/// A rule that even its own training left above the tolerance is replaced after an edit only if it
+/// has become worse than that by this factor: training anew costs more than the rest of an edit.
+const RETRAINING_FACTOR: f64 = 1.5;
+
 /// Relative residual of a modal derivative above which the caller is told.
 const DERIVATIVE_RESIDUAL_LIMIT: f64 = 1e-4;
 
@@ -48,8 +52,8 @@ pub(super) struct Draft {
     pub(super) residuals: Vec<f64>,
     /// The first set belongs to the modes of this generation.
     pub(super) derivatives: Vec<DerivativeSet>,
-    /// The cubature rule to reuse.
-    pub(super) reuse: Option<Rule>,
+    /// The cubature rule to reuse, and its validation error when it was trained.
+    pub(super) reuse: Option<(Rule, f64)>,
     pub(super) warnings: Vec<String>,
 }
 
@@ -86,8 +90,8 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
     }
     clock.finish(Stage::Basis)?;
 
-    let (rule, cubature) = match &params.cubature {
-        None => (Rule::exact(prepared.model.corners().len()), None),
+    let (rule, cubature, trained_error) = match &params.cubature {
+        None => (Rule::exact(prepared.model.corners().len()), None, 0.0),
         Some(cubature) => {
             let shapes = Shapes {
                 modes: &weighed,
@@ -96,7 +100,7 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
                 diagonal_m: prepared.model.mesh().diagonal(),
             };
             let fit = Fit { prepared: &prepared, basis: basis.as_ref(), shapes, params: cubature };
-            let (rule, report) = fit.rule(draft.reuse.take(), clock.control)?;
+            let (rule, report, trained_error) = fit.rule(draft.reuse.take(), clock.control)?;
             if report.validation_error > cubature.tolerance {
                 draft.warnings.push(format!(
                     "the cubature's relative force error is {:.1e}, above the tolerance of {:.1e}: \
@@ -104,7 +108,7 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
                     report.validation_error, cubature.tolerance
                 ));
             }
-            (rule, Some(report))
+            (rule, Some(report), trained_error)
         }
     };
     clock.finish(Stage::Cubature)?;
@@ -129,6 +133,7 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
         basis,
         rule,
         cubature,
+        trained_error,
         model: Arc::new(model),
         timings: clock.timings,
         warnings: draft.warnings,
@@ -144,13 +149,13 @@ struct Fit<'a> {
 }
 
 impl Fit<'_> {
-    /// The rule in use from now on: `reuse` as it is while its error on held-out poses is within
-    /// the tolerance, refitted if not, or a rule trained anew if there is none.
+    /// The rule in use from now on, with its validation error when it was trained. `reuse` is kept
+    /// while its error on held-out poses is acceptable, else refitted, else replaced.
     fn rule(
         &self,
-        reuse: Option<Rule>,
+        reuse: Option<(Rule, f64)>,
         control: &dyn Control,
-    ) -> Result<(Rule, CubatureReport), BuildError> {
+    ) -> Result<(Rule, CubatureReport, f64), BuildError> {
         let CubatureParams { n_points, n_training_poses, tolerance, seed } = *self.params;
         let (model, basis) = (&self.prepared.model, self.basis);
         let weighted = self.prepared.mass.multiply(basis);
@@ -166,25 +171,36 @@ impl Fit<'_> {
             source,
             validation_error: validation.error(model, basis, rule),
         };
-        let Some(old) = reuse else {
-            control.progress(Stage::Cubature, 0.1);
-            let training = samples(n_training_poses, seed)?;
-            let rule =
-                cubature::train(model, basis, &training, n_points, tolerance, seed, control)?;
-            let report = report(&rule, CubatureSource::Trained);
-            return Ok((rule, report));
+        let mut source = CubatureSource::Trained;
+        let mut training = None;
+        if let Some((old, trained_error)) = reuse {
+            let acceptable = tolerance.max(RETRAINING_FACTOR * trained_error);
+            let reused = report(&old, CubatureSource::Reused);
+            if reused.validation_error <= tolerance {
+                return Ok((old, reused, trained_error));
+            }
+            let samples = samples(n_training_poses, seed)?;
+            let refit = cubature::refit(model, basis, &samples, &old, control)?;
+            let refitted = report(&refit, CubatureSource::Refitted);
+            let (rule, best) = if refitted.validation_error < reused.validation_error {
+                (refit, refitted)
+            } else {
+                (old, reused)
+            };
+            if best.validation_error <= acceptable {
+                return Ok((rule, best, trained_error));
+            }
+            source = CubatureSource::Retrained;
+            training = Some(samples);
+        }
+        control.progress(Stage::Cubature, 0.1);
+        let training = match training {
+            Some(training) => training,
+            None => samples(n_training_poses, seed)?,
         };
-        let reused = report(&old, CubatureSource::Reused);
-        if reused.validation_error <= tolerance {
-            return Ok((old, reused));
-        }
-        let training = samples(n_training_poses, seed)?;
-        let rule = cubature::refit(model, basis, &training, &old, control)?;
-        let refitted = report(&rule, CubatureSource::Refitted);
-        if refitted.validation_error < reused.validation_error {
-            Ok((rule, refitted))
-        } else {
-            Ok((old, reused))
-        }
+        let rule = cubature::train(model, basis, &training, n_points, tolerance, seed, control)?;
+        let report = report(&rule, source);
+        let trained_error = report.validation_error;
+        Ok((rule, report, trained_error))
     }
 }

@@ -135,7 +135,7 @@ pub fn build(
 /// made. `previous` is untouched.
 ///
 /// Modes are updated from the *base* body whatever the generation, so rounds of edits accumulate no
-/// error (the limit that [M16] §6.1 names).
+/// error (the limit that \[M16\] §6.1 names).
 pub fn rebuild(
     previous: &Artifacts,
     edits: &[Edit],
@@ -271,7 +271,7 @@ fn update(
         weighing,
         residuals,
         derivatives: vec![new, reused],
-        reuse: previous.cubature.is_some().then(|| previous.rule.clone()),
+        reuse: previous.cubature.map(|_| (previous.rule.clone(), previous.trained_error)),
         warnings,
     })
 }
@@ -340,7 +340,7 @@ fn new_derivatives<'a>(
 }
 
 /// Derivatives of the base body's right-hand sides on the stitched body: K_σ⁻¹ of them is cached,
-/// so K̂_σ⁻¹ costs no solve ([M16] §4.2.1 reuses 40 % of them).
+/// so K̂_σ⁻¹ costs no solve (\[M16\] §4.2.1 reuses 40 % of them).
 fn reused_derivatives<'a>(
     prepared: &Prepared,
     body: &Body<'a>,

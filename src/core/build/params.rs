@@ -18,7 +18,7 @@ pub enum MassKind {
     Consistent,
 }
 
-/// Cubature training ([M16] §4.3).
+/// Cubature training (\[M16\] §4.3).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CubatureParams {
     /// Most points that may be chosen.
@@ -40,7 +40,7 @@ pub struct RayleighDamping {
     pub stiffness_s: f64,
 }
 
-/// Everything that [`build`] needs beside the mesh. There is no default on purpose: the caller
+/// Everything that [`build`](super::build) needs beside the mesh. There is no default on purpose: the caller
 /// resolves every value and can show it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BuildParams {
@@ -69,13 +69,13 @@ pub struct BuildParams {
 pub enum Method {
     /// Preconditioned by the cached factorization, refined to a tolerance (numerics: the default).
     Flexibility,
-    /// The low-rank update of [M16] §4.1.
+    /// The low-rank update of \[M16\] §4.1.
     LowRank,
     /// Everything anew.
     FromScratch,
 }
 
-/// Parameters of [`rebuild`].
+/// Parameters of [`rebuild`](super::rebuild).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RebuildParams {
     /// How to update the modes.

@@ -1,5 +1,5 @@
 //! Cubature: a few tets with non-negative weights that reproduce the reduced internal force
-//! Uᵀf(Uq) ≈ Σ_e w_e U_eᵀf_e(Uq) ([M16] §4.3, An et al. 2008).
+//! Uᵀf(Uq) ≈ Σ_e w_e U_eᵀf_e(Uq) (\[M16\] §4.3, An et al. 2008).
 //!
 //! Training solves a non-negative least-squares problem over random candidate tets, each pose's
 //! equations scaled by its force so that every pose counts alike. After an edit the points and
@@ -66,12 +66,8 @@ impl Samples {
     ) -> Result<Samples, Cancelled> {
         let q = linalg::gram(weighted_basis, poses);
         let u = linalg::product(basis, q.as_ref());
-        let mut full = Mat::zeros(u.nrows(), u.ncols());
-        for pose in 0..u.ncols() {
-            control::check(control)?;
-            let force = model.internal_force(u.col_as_slice(pose));
-            full.col_as_slice_mut(pose).copy_from_slice(&force);
-        }
+        control::check(control)?;
+        let full = model.internal_forces(u.as_ref());
         let force = linalg::gram(basis, full.as_ref());
         let scale = (0..force.ncols())
             .map(|t| {

@@ -1,6 +1,6 @@
 //! Random poses that a cubature rule is fitted to or validated on.
 //!
-//! A pose is a point of the quadratic manifold u(a) = Σ a_iφ_i + ½ Σ a_ia_jΦ_ij ([B12] eq. 17), the
+//! A pose is a point of the quadratic manifold u(a) = Σ a_iφ_i + ½ Σ a_ia_jΦ_ij (\[B12\] eq. 17), the
 //! shapes that a nonlinear body takes of its own accord, with amplitudes that fall with frequency
 //! and a largest displacement between 2 % and 12 % of the body's diagonal.
 

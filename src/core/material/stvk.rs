@@ -54,7 +54,7 @@ pub fn stress_derivative(d: &Mat3, lame: [f64; 2]) -> [[f64; 9]; 9] {
 }
 
 /// Second derivative of P at rest, D²P(0)[A, B] = A S(sym B) + B S(sym A) + S(sym(AᵀB)), in Pa:
-/// the integrand of (H:v)w ([B12] eq. 15) with A = ∇v, B = ∇w.
+/// the integrand of (H:v)w (\[B12\] eq. 15) with A = ∇v, B = ∇w.
 pub fn stress_second_derivative_at_rest(a: &Mat3, b: &Mat3, lame: [f64; 2]) -> Mat3 {
     let sym = |m: Mat3| (m + m.transpose()) * 0.5;
     a * second_stress(&sym(*b), lame)

@@ -26,6 +26,9 @@ const DEPENDENT: f64 = 1e-13;
 /// A new direction of which less than this fraction lies outside the space is left out.
 const CANCELLED: f64 = 1e-8;
 
+/// Projections of new directions out of the space: two are enough (Kahan), a third for safety.
+const MOST_PROJECTIONS: usize = 3;
+
 /// Relative eigenvalue error accepted for the upper half of the modes, as a multiple of the
 /// tolerance for the lower half: they carry the least of a motion and cost the most to refine.
 pub const UPPER_HALF_FACTOR: f64 = 100.0;
@@ -62,77 +65,157 @@ pub struct Updated {
     pub n_rounds: usize,
 }
 
-/// A growing trial space S with K̂_σS and its two Gram matrices.
-struct TrialSpace {
-    s: Mat<f64>,
-    stiff: Mat<f64>,
+/// A growing trial space: the base body's vectors and the extensions, with the two Gram matrices.
+///
+/// The base vectors X are M-orthonormal eigenvectors of K, so K̂_σX = MX(Λ + σ) + A(AᵀX) is never
+/// formed: their Gram matrices are I and Λ + σ + (AᵀX)ᵀ(AᵀX), and inner products with others follow
+/// from XᵀM.
+struct TrialSpace<'a> {
+    problem: &'a Update<'a>,
+    /// X = [rigid, U].
+    base: [MatRef<'a, f64>; 2],
+    /// Λ + σ of X.
+    shifted: Vec<f64>,
+    /// AᵀX.
+    stretch: Mat<f64>,
+    extensions: Vec<Extension>,
     gram_k: Mat<f64>,
     gram_m: Mat<f64>,
 }
 
-impl TrialSpace {
-    fn new(s: Mat<f64>, stiff: Mat<f64>, mass: &Mass) -> TrialSpace {
-        let gram_k = linalg::gram(s.as_ref(), stiff.as_ref());
-        let gram_m = mass.inner(s.as_ref(), s.as_ref());
-        TrialSpace { s, stiff, gram_k, gram_m }
+/// Columns of a trial space and K̂_σ times them.
+struct Extension {
+    s: Mat<f64>,
+    stiff: Mat<f64>,
+}
+
+/// Columns from outside the space with what inner products need of them.
+struct Candidate {
+    t: Mat<f64>,
+    /// M·T.
+    weighted: Mat<f64>,
+    /// AᵀT.
+    stretch: Mat<f64>,
+}
+
+impl<'a> TrialSpace<'a> {
+    fn new(problem: &'a Update<'a>) -> TrialSpace<'a> {
+        let a = problem.stitched.stitch_matrix();
+        let base = [problem.rigid, problem.base.shapes.as_ref()];
+        let stretch =
+            linalg::concatenate(&base.map(|x| a.transpose_times(x)).each_ref().map(|x| x.as_ref()));
+        let shifted: Vec<f64> = std::iter::repeat_n(0.0, problem.rigid.ncols())
+            .chain(problem.base.eigenvalues.iter().copied())
+            .map(|lambda| lambda + problem.sigma)
+            .collect();
+        let mut gram_k = linalg::gram(stretch.as_ref(), stretch.as_ref());
+        for (i, value) in shifted.iter().enumerate() {
+            gram_k[(i, i)] += value;
+        }
+        let gram_m = Mat::identity(shifted.len(), shifted.len());
+        TrialSpace { problem, base, shifted, stretch, extensions: Vec::new(), gram_k, gram_m }
+    }
+
+    fn parts(&self) -> impl Iterator<Item = MatRef<'_, f64>> {
+        self.base.into_iter().chain(self.extensions.iter().map(|e| e.s.as_ref()))
+    }
+
+    fn dimension(&self) -> usize {
+        self.gram_k.ncols()
+    }
+
+    /// `x += alpha·S·c`.
+    fn add_combination(&self, x: &mut Mat<f64>, alpha: f64, c: MatRef<'_, f64>) {
+        let mut at = 0;
+        for part in self.parts() {
+            linalg::add_product(x.as_mut(), alpha, part, c.subrows(at, part.ncols()));
+            at += part.ncols();
+        }
+    }
+
+    fn candidate(&self, t: Mat<f64>) -> Candidate {
+        let weighted = self.problem.mass.multiply(t.as_ref());
+        let stretch = self.problem.stitched.stitch_matrix().transpose_times(t.as_ref());
+        Candidate { t, weighted, stretch }
+    }
+
+    /// SᵀMT and SᵀK̂_σT.
+    fn inner_products(&self, candidate: &Candidate) -> [Mat<f64>; 2] {
+        let columns = candidate.t.ncols();
+        let mut inner_m = Mat::zeros(self.dimension(), columns);
+        let mut at = 0;
+        for part in self.parts() {
+            let rows = linalg::gram(part, candidate.weighted.as_ref());
+            inner_m.as_mut().subrows_mut(at, rows.nrows()).copy_from(&rows);
+            at += rows.nrows();
+        }
+        let mut inner_k = inner_m.clone();
+        let by_stitches = linalg::gram(self.stretch.as_ref(), candidate.stretch.as_ref());
+        for (i, value) in self.shifted.iter().enumerate() {
+            for j in 0..columns {
+                inner_k[(i, j)] = value * inner_m[(i, j)] + by_stitches[(i, j)];
+            }
+        }
+        let mut at = self.shifted.len();
+        for extension in &self.extensions {
+            let rows = linalg::gram(extension.stiff.as_ref(), candidate.t.as_ref());
+            inner_k.as_mut().subrows_mut(at, rows.nrows()).copy_from(&rows);
+            at += rows.nrows();
+        }
+        [inner_m, inner_k]
     }
 
     /// Adds columns T after projecting out, in the K̂_σ inner product, what the space already holds,
     /// and scaling them to unit energy. K̂_σT is multiplied out afterwards: carrying it along from
     /// the right-hand side would save that product, but loses its digits to the subtraction where
     /// free bodies have large rigid components (seen: the fork breaks down at tolerance 1e-8).
-    fn extend(&mut self, mut t: Mat<f64>, problem: &Update<'_>) -> Result<(), DenseError> {
-        let Update { stitched, mass, sigma, .. } = *problem;
-        let norms = |t: &Mat<f64>, mt: &Mat<f64>| -> Vec<f64> {
-            (0..t.ncols()).map(|j| (t.col(j).transpose() * mt.col(j)).max(0.0).sqrt()).collect()
-        };
-        let before = norms(&t, &mass.multiply(t.as_ref()));
+    fn extend(&mut self, t: Mat<f64>) -> Result<(), DenseError> {
+        let norms =
+            |t: &Mat<f64>| -> Vec<f64> { (0..t.ncols()).map(|j| t.col(j).norm_l2()).collect() };
+        let before = norms(&t);
         let b = linalg::orthonormal_coefficients(self.gram_k.as_ref(), DEPENDENT)?;
-        for _ in 0..2 {
-            let inner = linalg::gram(self.stiff.as_ref(), t.as_ref());
-            let onto = linalg::small_product(
-                b.as_ref(),
-                linalg::small_product(b.transpose(), inner.as_ref()).as_ref(),
-            );
-            linalg::add_product(t.as_mut(), -1.0, self.s.as_ref(), onto.as_ref());
+        let mut candidate = self.candidate(t);
+        let mut after = before.clone();
+        for _ in 0..MOST_PROJECTIONS {
+            let [_, inner_k] = self.inner_products(&candidate);
+            let inner = linalg::small_product(b.transpose(), inner_k.as_ref());
+            let onto = linalg::small_product(b.as_ref(), inner.as_ref());
+            let last = std::mem::take(&mut after);
+            self.add_combination(&mut candidate.t, -1.0, onto.as_ref());
+            after = norms(&candidate.t);
+            candidate = self.candidate(candidate.t);
+            // Where little is left, rounding has left something of the space: project again.
+            if after.iter().zip(&last).all(|(after, last)| *after > 1e-2 * last) {
+                break;
+            }
         }
-        let after = norms(&t, &mass.multiply(t.as_ref()));
         let new: Vec<usize> =
-            (0..t.ncols()).filter(|&j| after[j] > CANCELLED * before[j]).collect();
-        let mut t = Mat::from_fn(t.nrows(), new.len(), |i, j| t[(i, new[j])] / after[new[j]]);
-        let mut stiff_t = stitched.multiply(t.as_ref());
-        let mut mt = mass.multiply(t.as_ref());
-        for j in 0..t.ncols() {
-            for (k, m) in stiff_t.col_as_slice_mut(j).iter_mut().zip(mt.col_as_slice(j)) {
+            (0..after.len()).filter(|&j| after[j] > CANCELLED * before[j]).collect();
+        if new.len() < after.len() {
+            candidate = self.candidate(linalg::columns(&candidate.t, &new));
+        }
+        let sigma = self.problem.sigma;
+        let mut stiff = self.problem.stitched.multiply(candidate.t.as_ref());
+        for j in 0..new.len() {
+            for (k, m) in
+                stiff.col_as_slice_mut(j).iter_mut().zip(candidate.weighted.col_as_slice(j))
+            {
                 *k += sigma * m;
             }
-            let energy: f64 = t.col(j).transpose() * stiff_t.col(j);
+            let energy: f64 = candidate.t.col(j).transpose() * stiff.col(j);
             let scale = energy.max(f64::MIN_POSITIVE).sqrt().recip();
-            for x in [&mut t, &mut stiff_t, &mut mt] {
+            let Candidate { t, weighted, stretch } = &mut candidate;
+            for x in [t, weighted, stretch, &mut stiff] {
                 x.col_as_slice_mut(j).iter_mut().for_each(|x| *x *= scale);
             }
         }
-        let grow = |old: &Mat<f64>, cross: Mat<f64>, corner: Mat<f64>| {
-            let (k, l) = (old.ncols(), corner.ncols());
-            Mat::from_fn(k + l, k + l, |i, j| match (i < k, j < k) {
-                (true, true) => old[(i, j)],
-                (true, false) => cross[(i, j - k)],
-                (false, true) => cross[(j, i - k)],
-                (false, false) => corner[(i - k, j - k)],
-            })
-        };
-        self.gram_k = grow(
-            &self.gram_k,
-            linalg::gram(self.s.as_ref(), stiff_t.as_ref()),
-            linalg::gram(t.as_ref(), stiff_t.as_ref()),
-        );
-        self.gram_m = grow(
-            &self.gram_m,
-            linalg::gram(self.s.as_ref(), mt.as_ref()),
-            linalg::gram(t.as_ref(), mt.as_ref()),
-        );
-        self.s = linalg::concatenate(&[self.s.as_ref(), t.as_ref()]);
-        self.stiff = linalg::concatenate(&[self.stiff.as_ref(), stiff_t.as_ref()]);
+        let [inner_m, inner_k] = self.inner_products(&candidate);
+        let Candidate { t, weighted, .. } = candidate;
+        let corner_k = linalg::gram(t.as_ref(), stiff.as_ref());
+        let corner_m = linalg::gram(t.as_ref(), weighted.as_ref());
+        self.gram_k = bordered(&self.gram_k, &inner_k, &corner_k);
+        self.gram_m = bordered(&self.gram_m, &inner_m, &corner_m);
+        self.extensions.push(Extension { s: t, stiff });
         Ok(())
     }
 
@@ -153,30 +236,32 @@ impl TrialSpace {
     }
 }
 
+/// \[\[old, cross\], \[crossᵀ, corner\]\].
+fn bordered(old: &Mat<f64>, cross: &Mat<f64>, corner: &Mat<f64>) -> Mat<f64> {
+    let k = old.ncols();
+    Mat::from_fn(k + corner.ncols(), k + corner.ncols(), |i, j| match (i < k, j < k) {
+        (true, true) => old[(i, j)],
+        (true, false) => cross[(i, j - k)],
+        (false, true) => cross[(j, i - k)],
+        (false, false) => corner[(i - k, j - k)],
+    })
+}
+
 /// Computes the modes of the stitched body.
 pub fn update(problem: &Update<'_>, control: &dyn Control) -> Result<Updated, ModesError> {
-    let Update { stitched, mass, sigma, rigid, n_rigid_left, base, n_modes, tolerance } = *problem;
+    let Update { stitched, mass, sigma, n_rigid_left, base, n_modes, tolerance, .. } = *problem;
     let a = stitched.stitch_matrix();
 
-    // S = [rigid, U]; K̂_σS = MS(Λ + σ) + A(AᵀS).
-    let s = linalg::concatenate(&[rigid, base.shapes.as_ref()]);
-    let mut stiff = mass.multiply(s.as_ref());
-    for j in 0..s.ncols() {
-        let lambda = if j < rigid.ncols() { 0.0 } else { base.eigenvalues[j - rigid.ncols()] };
-        stiff.col_as_slice_mut(j).iter_mut().for_each(|x| *x *= lambda + sigma);
-    }
-    let stretch = a.transpose_times(s.as_ref());
-    a.add_times(&mut stiff, stretch.as_ref());
-
-    // T = G (I + C)⁻¹ AᵀS; all of G where that is no wider.
-    let mut space = TrialSpace::new(s, stiff, mass);
+    // S = [rigid, U] and T = G (I + C)⁻¹ AᵀS; all of G where that is no wider.
+    let mut space = TrialSpace::new(problem);
     if a.n_columns() > 0 {
-        let t = if a.n_columns() <= stretch.ncols() {
+        let t = if a.n_columns() <= space.dimension() {
             stitched.g().to_owned()
         } else {
-            linalg::product(stitched.g(), stitched.capacitance_solve(stretch.as_ref()).as_ref())
+            let z = stitched.capacitance_solve(space.stretch.as_ref());
+            linalg::product(stitched.g(), z.as_ref())
         };
-        space.extend(t, problem)?;
+        space.extend(t)?;
     }
     let kept = base.eigenvalues.len();
     let mut round = 0;
@@ -186,7 +271,8 @@ pub fn update(problem: &Update<'_>, control: &dyn Control) -> Result<Updated, Mo
         let (theta, c) = space.ritz()?;
         let available = theta.len().saturating_sub(n_rigid_left).min(kept);
         let wanted = n_modes.min(available);
-        let shapes = linalg::product(space.s.as_ref(), c.subcols(n_rigid_left, wanted));
+        let mut shapes = Mat::zeros(base.shapes.nrows(), wanted);
+        space.add_combination(&mut shapes, 1.0, c.subcols(n_rigid_left, wanted));
         let eigenvalues: Vec<f64> =
             theta[n_rigid_left..][..wanted].iter().map(|t| t.recip() - sigma).collect();
         let product = stitched.multiply(shapes.as_ref());
@@ -215,8 +301,6 @@ pub fn update(problem: &Update<'_>, control: &dyn Control) -> Result<Updated, Mo
             let modes = LinearModes { shapes: gram.orthonormalize(shapes.as_ref()), eigenvalues };
             return Ok(Updated { modes, residuals, error_estimates, n_rounds: round });
         }
-        let pick =
-            |x: &Mat<f64>| Mat::from_fn(x.nrows(), unaccepted.len(), |i, j| x[(i, unaccepted[j])]);
-        space.extend(pick(&solved), problem)?;
+        space.extend(linalg::columns(&solved, &unaccepted))?;
     }
 }

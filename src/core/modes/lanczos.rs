@@ -107,7 +107,7 @@ pub fn lowest_modes(
             .filter(|&i| remainder[(i, i)].sqrt() > BREAKDOWN * largest)
             .take(room)
             .collect();
-        let survivors = Mat::from_fn(n, alive.len(), |i, j| w[(i, alive[j])]);
+        let survivors = linalg::columns(&w, &alive);
         next = problem.mass.orthonormalize(survivors.as_ref(), 1e-14)?;
         if next.ncols() < room {
             fill(&mut next, room, &mut random, problem, basis.as_ref())?;

@@ -1,4 +1,4 @@
-//! The paper's update ([M16] §4.1, eq. 8–12): K is replaced by its low-frequency part
+//! The paper's update (\[M16\] §4.1, eq. 8–12): K is replaced by its low-frequency part
 //! MUΛUᵀM, and the eigenproblem of MUΛUᵀM + AAᵀ is solved exactly in span [U, M⁻¹A].
 //!
 //! With B = UᵀA and the Gram matrix G = AᵀM⁻¹A − BᵀB, P = (M⁻¹A − UB) G^(−1/2) is M-orthonormal and
@@ -57,7 +57,7 @@ impl MassInverse {
 }
 
 /// The `count` lowest eigenpairs of MUΛUᵀM + AAᵀ. `u` is n×r and M-orthonormal with eigenvalues
-/// `lambda`, rigid modes (λ = 0) included, as [M16] §4.1.1 advises.
+/// `lambda`, rigid modes (λ = 0) included, as \[M16\] §4.1.1 advises.
 pub fn update(
     u: MatRef<'_, f64>,
     lambda: &[f64],

@@ -1,7 +1,7 @@
 //! The stitched stiffness K̂ = K + AAᵀ: its product, and its inverse by Woodbury's formula from the
 //! factorization of the unstitched one.
 //!
-//! For a stitch (a, b, k), A has the three columns √k·(e_a − e_b) ([M16] eq. 5). With G = K_σ⁻¹A and
+//! For a stitch (a, b, k), A has the three columns √k·(e_a − e_b) (\[M16\] eq. 5). With G = K_σ⁻¹A and
 //! C = AᵀG,  K̂_σ⁻¹ = K_σ⁻¹ − G (I + C)⁻¹ Gᵀ.
 
 use crate::assembly::FullModel;

@@ -1,5 +1,5 @@
 //! The reduced model: cubature-summed energy, force and stiffness in the subspace
-//! ([M16] eq. 14, [B12] §3.1), independent of the mesh's size.
+//! (\[M16\] eq. 14, \[B12\] §3.1), independent of the mesh's size.
 
 mod newmark;
 mod statics;

@@ -1,5 +1,5 @@
 //! Implicit Newmark integration (β = 1/4, γ = 1/2: average acceleration) of
-//! q̈ + D q̇ + f(q) = f_ext with UᵀMU = I and Rayleigh damping D = αI + βK̃(0) ([B12] §3.1).
+//! q̈ + D q̇ + f(q) = f_ext with UᵀMU = I and Rayleigh damping D = αI + βK̃(0) (\[B12\] §3.1).
 
 use super::ReducedModel;
 use crate::linalg::SmallCholesky;
