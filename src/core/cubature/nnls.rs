@@ -135,7 +135,9 @@ mod tests {
     fn problem(rows: usize, columns: usize, truth: &[(usize, f64)]) -> (Mat<f64>, Vec<f64>, f64) {
         // A hash, not a sine: sines of sums have rank two.
         let a = Mat::from_fn(rows, columns, |i, j| {
-            let h = ((i * 8191 + j * 131) as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            let mut h = ((i << 16 | j) as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            h = (h ^ (h >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            h ^= h >> 32;
             (h >> 40) as f64 / (1u64 << 24) as f64 - 0.3
         });
         let b = Mat::from_fn(rows, 1, |i, _| truth.iter().map(|&(j, w)| w * a[(i, j)]).sum());
@@ -155,7 +157,7 @@ mod tests {
         let solution = solve(g.as_ref(), &p, n, 40, 1e-10);
         for (j, w) in truth {
             let at = solution.support.iter().position(|&i| i == j).expect("in the support");
-            assert!((solution.values[at] - w).abs() < 1e-6);
+            assert!((solution.values[at] - w).abs() < 1e-6, "{solution:?}");
         }
         assert!(solution.values.iter().all(|v| *v > 0.0));
     }
