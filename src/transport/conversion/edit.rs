@@ -81,7 +81,7 @@ fn cubature(report: &CubatureReport) -> wire::CubatureInfo {
     wire::CubatureInfo {
         n_points: report.n_points,
         source: match report.source {
-            CubatureSource::Trained => wire::CubatureSource::Retrained,
+            CubatureSource::Trained | CubatureSource::Retrained => wire::CubatureSource::Retrained,
             CubatureSource::Reused => wire::CubatureSource::Reused,
             CubatureSource::Refitted => wire::CubatureSource::Refitted,
         },
