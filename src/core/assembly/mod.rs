@@ -223,6 +223,12 @@ impl FullModel {
         BlockMatrix::new(pattern.clone(), blocks)
     }
 
+    /// Internal force +∂Ψ/∂u at `u` (n numbers).
+    pub fn internal_force(&self, u: &[f64]) -> Vec<f64> {
+        let u = MatRef::from_column_major_slice(u, u.len(), 1);
+        self.blocks.internal_forces(u).col_as_slice(0).to_vec()
+    }
+
     /// Internal force +∂Ψ/∂u at each column of `u` (n×t).
     pub fn internal_forces(&self, u: MatRef<'_, f64>) -> Mat<f64> {
         self.blocks.internal_forces(u)
