@@ -7,6 +7,7 @@ use crate::assembly::mass::Mass;
 use crate::assembly::sparse::BlockMatrix;
 use crate::control::Stage;
 use crate::factorization::{SparseCholesky, shifted};
+use crate::linalg::{self, DenseError};
 use crate::modes::lanczos::{self, ShiftInvert};
 use crate::modes::{LinearModes, shift};
 use faer::MatRef;
@@ -50,6 +51,7 @@ pub(super) fn lowest_spectrum(
     clock.finish(Stage::Factorization)?;
     let problem = ShiftInvert { factor: &factor, sigma, mass, rigid };
     let modes = lanczos::lowest_modes(&problem, n_modes, GUARD_MODES, clock.control)?;
+    let modes = ritz(modes, stiffness)?;
     if modes.eigenvalues.iter().any(|lambda| !lambda.is_finite()) {
         return Err(BuildError::NonFinite { what: "the eigensolver" });
     }
@@ -63,6 +65,15 @@ pub(super) fn lowest_spectrum(
         }
     }
     Ok(Spectrum { factor, sigma, modes })
+}
+
+/// Turns the modes within their span so that ΦᵀKΦ = Λ to rounding, guards included: Lanczos makes
+/// ΦᵀMK_σ⁻¹MΦ diagonal, which differs where a mode has not converged.
+fn ritz(modes: LinearModes, stiffness: &BlockMatrix) -> Result<LinearModes, DenseError> {
+    let product = stiffness.multiply(modes.shapes.as_ref());
+    let projected = linalg::gram(modes.shapes.as_ref(), product.as_ref());
+    let (eigenvalues, turn) = linalg::symmetric_eigen(projected.as_ref())?;
+    Ok(LinearModes { shapes: linalg::product(modes.shapes.as_ref(), turn.as_ref()), eigenvalues })
 }
 
 /// tr(K)/tr(M): the mean eigenvalue, far above the lowest.

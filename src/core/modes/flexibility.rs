@@ -67,9 +67,9 @@ pub struct Updated {
 
 /// A growing trial space: the base body's vectors and the extensions, with the two Gram matrices.
 ///
-/// The base vectors X are M-orthonormal eigenvectors of K, so K̂_σX = MX(Λ + σ) + A(AᵀX) is never
-/// formed: their Gram matrices are I and Λ + σ + (AᵀX)ᵀ(AᵀX), and inner products with others follow
-/// from XᵀM.
+/// The base vectors X are M-orthonormal Ritz vectors of K, so K̂_σX is never formed: their Gram
+/// matrices are I and Λ + σ + (AᵀX)ᵀ(AᵀX), and for projecting others K̂_σX = MX(Λ + σ) + A(AᵀX)
+/// is close enough.
 struct TrialSpace<'a> {
     problem: &'a Update<'a>,
     /// X = [rigid, U].
@@ -209,7 +209,14 @@ impl<'a> TrialSpace<'a> {
                 x.col_as_slice_mut(j).iter_mut().for_each(|x| *x *= scale);
             }
         }
-        let [inner_m, inner_k] = self.inner_products(&candidate);
+        let [inner_m, mut inner_k] = self.inner_products(&candidate);
+        // From K̂_σT itself where it counts: the highest base modes are eigenvectors only to 1e-5.
+        let mut at = 0;
+        for part in self.base {
+            let rows = linalg::gram(part, stiff.as_ref());
+            inner_k.as_mut().subrows_mut(at, rows.nrows()).copy_from(&rows);
+            at += rows.nrows();
+        }
         let Candidate { t, weighted, .. } = candidate;
         let corner_k = linalg::gram(t.as_ref(), stiff.as_ref());
         let corner_m = linalg::gram(t.as_ref(), weighted.as_ref());
