@@ -163,7 +163,13 @@ impl BusSession {
     ) -> Result<Sample> {
         let key = self.key(resource)?;
         let selector = format!("{key}?{parameters}");
-        let mut get = self.zenoh_session.get(&selector).timeout(QUERY_TIMEOUT);
+        // A reply has its query's priority: arrays of many megabytes let states and edits pass.
+        let priority = match resource {
+            Resource::Edits | Resource::Info => Priority::default(),
+            _ => Priority::DataLow,
+        };
+        let get = self.zenoh_session.get(&selector).timeout(QUERY_TIMEOUT);
+        let mut get = get.priority(priority);
         if let Some(payload) = payload {
             get = get.payload(payload).encoding(media::BINCODE);
         }

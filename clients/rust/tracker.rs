@@ -1,7 +1,7 @@
 //! Keeping the basis in step with the generations of a state stream.
 
-use crate::arrays::{Arrays, Basis, Generation, Transfer};
-use crate::error::{Error, Result};
+use crate::arrays::{Arrays, Basis, Generation};
+use crate::error::Result;
 use sutura_proto::state::StateFrame;
 
 /// Turns states into displacements, fetching what a new generation changed when one arrives.
@@ -31,19 +31,17 @@ impl<S: Arrays> Tracker<S> {
         self.basis.reconstruct(&state.q)
     }
 
-    /// Goes over to `generation` and returns the matrix that carries coordinates over to it.
-    pub async fn follow(&mut self, generation: u64) -> Result<Transfer> {
+    /// Goes over to the basis of `generation`.
+    pub async fn follow(&mut self, generation: u64) -> Result<()> {
         let have = self.basis.generation();
         let which = Generation::Number(generation);
-        let transfer = self.source.transfer(which, have).await?;
-        // The difference is smaller than the basis unless the daemon no longer keeps the old one.
+        // The difference is smaller than the basis, but there is none once the daemon has dropped the
+        // old generation.
         self.basis = match self.source.delta(which, have).await {
             Ok(delta) => self.basis.updated(&delta)?,
-            Err(Error::Problem(problem)) if problem.status == 404 => {
-                self.source.basis(which).await?
-            }
+            Err(error) if error.status() == Some(404) => self.source.basis(which).await?,
             Err(error) => return Err(error),
         };
-        Ok(transfer)
+        Ok(())
     }
 }

@@ -19,7 +19,7 @@ impl Arrays for Daemon {
         let arrays = match (query.resource, generation) {
             (Resource::Basis, 0) => vec![WireArray::f32(BASIS, [2, 2, 3], &OLD[..])],
             (Resource::Basis, _) => vec![WireArray::f32(BASIS, [2, 2, 3], &NEW[..])],
-            (Resource::Transfer, _) => {
+            (Resource::Transfer, _) if self.keeps_old => {
                 vec![WireArray::f32(TRANSFER, [2, 2], vec![1.0, 0.0, 0.5, 0.0])]
             }
             (Resource::Delta, _) if self.keeps_old => vec![
