@@ -25,6 +25,10 @@ const VALIDATION_SEED: u64 = 0x9e37_79b9_7f4a_7c15;
 /// has become worse than that by this factor: training anew costs more than the rest of an edit.
 const RETRAINING_FACTOR: f64 = 1.5;
 
+/// Share of the training poses that weights are refitted to: every pose gives one equation for each
+/// basis column, and the points are already chosen.
+const REFITTING_SHARE: f64 = 0.4;
+
 /// Relative residual of a modal derivative above which the caller is told.
 const DERIVATIVE_RESIDUAL_LIMIT: f64 = 1e-4;
 
@@ -172,15 +176,14 @@ impl Fit<'_> {
             validation_error: validation.error(model, basis, rule),
         };
         let mut source = CubatureSource::Trained;
-        let mut training = None;
         if let Some((old, trained_error)) = reuse {
             let acceptable = tolerance.max(RETRAINING_FACTOR * trained_error);
             let reused = report(&old, CubatureSource::Reused);
             if reused.validation_error <= tolerance {
                 return Ok((old, reused, trained_error));
             }
-            let samples = samples(n_training_poses, seed)?;
-            let refit = cubature::refit(model, basis, &samples, &old, control)?;
+            let n_poses = (REFITTING_SHARE * n_training_poses as f64).ceil() as usize;
+            let refit = cubature::refit(model, basis, &samples(n_poses, seed)?, &old, control)?;
             let refitted = report(&refit, CubatureSource::Refitted);
             let (rule, best) = if refitted.validation_error < reused.validation_error {
                 (refit, refitted)
@@ -191,13 +194,9 @@ impl Fit<'_> {
                 return Ok((rule, best, trained_error));
             }
             source = CubatureSource::Retrained;
-            training = Some(samples);
         }
         control.progress(Stage::Cubature, 0.1);
-        let training = match training {
-            Some(training) => training,
-            None => samples(n_training_poses, seed)?,
-        };
+        let training = samples(n_training_poses, seed)?;
         let rule = cubature::train(model, basis, &training, n_points, tolerance, seed, control)?;
         let report = report(&rule, source);
         let trained_error = report.validation_error;

@@ -143,7 +143,9 @@ pub fn train(
     all.truncate((CANDIDATES_PER_POINT * n_points).max(LEAST_CANDIDATES));
     all.sort_unstable();
     control.progress(Stage::Cubature, 0.3);
-    fit(model, basis, samples, &all, n_points, TRAINING_MARGIN * tolerance, control)
+    let start = vec![0.0; all.len()];
+    let target = Target { n_points, tolerance: TRAINING_MARGIN * tolerance, start };
+    fit(model, basis, samples, &all, target, control)
 }
 
 /// Fits weights to `samples` on the points of `rule`; some may fall to zero and leave it.
@@ -154,7 +156,17 @@ pub fn refit(
     rule: &Rule,
     control: &dyn Control,
 ) -> Result<Rule, Cancelled> {
-    fit(model, basis, samples, &rule.tets, rule.tets.len(), 0.0, control)
+    let target = Target { n_points: rule.tets.len(), tolerance: 0.0, start: rule.weights.clone() };
+    fit(model, basis, samples, &rule.tets, target, control)
+}
+
+/// When a fit is done, and where it starts.
+struct Target {
+    n_points: usize,
+    /// Relative residual.
+    tolerance: f64,
+    /// A weight for each candidate.
+    start: Vec<f64>,
 }
 
 fn fit(
@@ -162,8 +174,7 @@ fn fit(
     basis: MatRef<'_, f64>,
     samples: &Samples,
     candidates: &[u32],
-    n_points: usize,
-    tolerance: f64,
+    Target { n_points, tolerance, start }: Target,
     control: &dyn Control,
 ) -> Result<Rule, Cancelled> {
     let columns = samples.contributions(model, basis, candidates);
@@ -181,6 +192,7 @@ fn fit(
         target.col(0).squared_norm_l2(),
         n_points,
         tolerance,
+        &start,
     );
     Ok(Rule {
         tets: solution.support.iter().map(|&i| candidates[i]).collect(),

@@ -6,14 +6,19 @@
 //! ordering is pure Rust: METIS is 6 % better but replaces the process's signal handlers while it
 //! runs. faer's own threading gains nothing here, so several right-hand sides are split by columns.
 
+mod solve;
+
 use crate::assembly::mass::Mass;
 use crate::assembly::sparse::{BlockMatrix, Pattern, ScalarMatrix};
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{LltError, LltRegularization};
 use faer::perm::PermRef;
-use faer::sparse::linalg::cholesky::{self, LltRef, SymbolicCholesky, SymmetricOrdering};
+use faer::sparse::linalg::SupernodalThreshold;
+use faer::sparse::linalg::cholesky::{
+    self, CholeskySymbolicParams, SymbolicCholesky, SymbolicCholeskyRaw, SymmetricOrdering,
+};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use faer::{Conj, MatMut, Par, Side, Spec};
+use faer::{MatMut, Par, Side, Spec};
 use feral_ordering_core::CscPattern;
 use rayon::prelude::*;
 
@@ -43,7 +48,8 @@ pub enum FactorizationError {
 pub struct SparseCholesky {
     symbolic: SymbolicCholesky<usize>,
     values: Vec<f64>,
-    n: usize,
+    /// Row of the matrix at each position of the factor.
+    order: Vec<usize>,
 }
 
 impl SparseCholesky {
@@ -61,7 +67,7 @@ impl SparseCholesky {
 
     /// Rows of the matrix.
     pub fn n(&self) -> usize {
-        self.n
+        self.order.len()
     }
 
     /// Number of entries in L, padding of supernodes included.
@@ -71,17 +77,14 @@ impl SparseCholesky {
 
     /// Overwrites B (n×k) by A⁻¹B.
     pub fn solve_in_place(&self, b: MatMut<'_, f64>) {
-        assert_eq!(b.nrows(), self.n);
+        assert_eq!(b.nrows(), self.n());
         let k = b.ncols();
         let pieces = (k / MIN_COLUMNS_PER_THREAD).clamp(1, rayon::current_num_threads().max(1));
-        let solve = |mut piece: MatMut<'_, f64>| {
-            let scratch = self.symbolic.solve_in_place_scratch::<f64>(piece.ncols(), Par::Seq);
-            LltRef::<usize, f64>::new(&self.symbolic, &self.values).solve_in_place_with_conj(
-                Conj::No,
-                piece.as_mut(),
-                Par::Seq,
-                MemStack::new(&mut MemBuffer::new(scratch)),
-            );
+        let SymbolicCholeskyRaw::Supernodal(symbolic) = self.symbolic.raw() else {
+            unreachable!("the symbolic factorization is forced to be supernodal");
+        };
+        let solve = |piece: MatMut<'_, f64>| {
+            solve::solve_in_place(symbolic, &self.values, &self.order, piece);
         };
         if k == 0 {
         } else if pieces == 1 {
@@ -152,18 +155,22 @@ fn factorize(
 
     // The pattern is sorted and the permutation checked, so neither constructor can panic.
     let symbol = SymbolicSparseColMatRef::new_checked(n, n, &column_start, None, &rows);
+    let params = CholeskySymbolicParams {
+        supernodal_flop_ratio_threshold: SupernodalThreshold::FORCE_SUPERNODAL,
+        ..Default::default()
+    };
     let symbolic = cholesky::factorize_symbolic_cholesky(
         symbol,
         Side::Lower,
         SymmetricOrdering::Custom(PermRef::new_checked(&forward, &inverse, n)),
-        Default::default(),
+        params,
     )
     .map_err(|_| FactorizationError::TooLarge)?;
-    let mut factor = vec![0.0; symbolic.len_val()];
+    let mut values_of_l = vec![0.0; symbolic.len_val()];
     let scratch = symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Spec::default());
     symbolic
         .factorize_numeric_llt::<f64>(
-            &mut factor,
+            &mut values_of_l,
             SparseColMatRef::new(symbol, &values),
             Side::Lower,
             LltRegularization::default(),
@@ -175,7 +182,7 @@ fn factorize(
             // faer counts pivots in the permuted order.
             FactorizationError::NonPositivePivot { row: forward[index.min(n - 1)] }
         })?;
-    Ok(SparseCholesky { symbolic, values: factor, n })
+    Ok(SparseCholesky { symbolic, values: values_of_l, order: forward })
 }
 
 /// A nested-dissection order of the vertices (new → old), checked to be a permutation.
