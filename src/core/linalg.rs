@@ -93,6 +93,10 @@ pub fn small_product(a: MatRef<'_, f64>, b: MatRef<'_, f64>) -> Mat<f64> {
 /// Eigenvalues (ascending) and orthonormal eigenvectors of a small symmetric matrix; the two
 /// triangles are averaged.
 pub fn symmetric_eigen(a: MatRef<'_, f64>) -> Result<(Vec<f64>, Mat<f64>), DenseError> {
+    if a.nrows() == 0 {
+        // faer panics on an empty matrix.
+        return Ok((Vec::new(), Mat::zeros(0, 0)));
+    }
     sequential();
     let symmetric = Mat::from_fn(a.nrows(), a.ncols(), |i, j| 0.5 * (a[(i, j)] + a[(j, i)]));
     let eigen = symmetric
@@ -107,6 +111,9 @@ pub fn symmetric_eigen(a: MatRef<'_, f64>) -> Result<(Vec<f64>, Mat<f64>), Dense
 
 /// Left singular vectors and singular values (descending) of a small matrix.
 pub fn left_singular(a: MatRef<'_, f64>) -> Result<(Vec<f64>, Mat<f64>), DenseError> {
+    if a.nrows() == 0 || a.ncols() == 0 {
+        return Ok((Vec::new(), Mat::zeros(a.nrows(), 0)));
+    }
     sequential();
     let svd = a.thin_svd().map_err(|_| DenseError("singular value decomposition"))?;
     let values: Vec<f64> = (0..svd.U().ncols()).map(|i| svd.S()[i]).collect();

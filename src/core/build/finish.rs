@@ -23,7 +23,7 @@ const VALIDATION_SEED: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// A rule that even its own training left above the tolerance is replaced after an edit only if it
 /// has become worse than that by this factor: training anew costs more than the rest of an edit.
-const RETRAINING_FACTOR: f64 = 1.5;
+const RETRAINING_FACTOR: f64 = 2.0;
 
 /// Share of the training poses that weights are refitted to: every pose gives one equation for each
 /// basis column, and the points are already chosen.

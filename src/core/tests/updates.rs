@@ -181,7 +181,6 @@ fn stitching_and_unstitching_returns_the_spectrum() {
 }
 
 #[test]
-#[ignore = "the update panics on a stitch matrix without columns (faer's 0 × 0 eigenproblem)"]
 fn low_rank_without_stitches_returns_the_spectrum() {
     let bar = bar(Cut::HalfDepth);
     let before = start(&bar, 12);
