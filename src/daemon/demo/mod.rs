@@ -228,7 +228,7 @@ async fn set_in_motion(
     let load = Load { forces, duration_s: 0.5 / lowest_hz };
 
     console.heading(&format!(
-        "Pulling vertex {} with {:.3} N for {:.2} s, and the incision apart",
+        "Pulling vertex {} with {:.3} N for {:.2} s, and the two sides of every stitch apart",
         pull.0,
         pull.1.norm(),
         load.duration_s
@@ -277,7 +277,7 @@ fn draw(folder: &Path, case: &Case, scene: &Scene) -> Result<Vec<PathBuf>, DemoE
         &[before, &scene.closed],
     );
     let load = format!(
-        "Vertex {} pulled with {:.3} N, both sides of the cut pulled apart.\n\
+        "Vertex {} pulled with {:.3} N, the two sides of every stitch pulled apart.\n\
          Shown where the body is furthest from rest; true to scale.",
         scene.pull.0,
         scene.pull.1.norm()

@@ -2,18 +2,18 @@
 
 use super::console::Console;
 use indicatif::{ProgressBar, ProgressStyle};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use sutura_client::proto::event::Event;
 
 /// Steps of the bar within one stage.
 const RESOLUTION: u64 = 1000;
 
-/// A bar that runs once through every stage. Where standard error is no terminal the stages are
-/// printed one a line.
+/// A bar that runs once through every stage, and a line for each that is done. The times are not
+/// taken here, where events arrive late: the daemon reports them with the result.
 pub(crate) struct BuildProgress {
     console: Console,
     bar: ProgressBar,
-    stage: Option<(String, Instant)>,
+    stage: Option<String>,
 }
 
 impl BuildProgress {
@@ -30,17 +30,17 @@ impl BuildProgress {
 
     pub(crate) fn event(&mut self, event: &Event) {
         let Event::Stage { stage, progress } = event else { return };
-        if self.stage.as_ref().is_none_or(|(current, _)| current != stage) {
+        if self.stage.as_ref() != Some(stage) {
             self.end_stage();
-            self.stage = Some((stage.clone(), Instant::now()));
+            self.stage = Some(stage.clone());
             self.bar.set_message(stage.clone());
         }
         self.bar.set_position((progress.clamp(0.0, 1.0) * RESOLUTION as f64) as u64);
     }
 
     fn end_stage(&mut self) {
-        if let Some((stage, start)) = self.stage.take() {
-            let line = format!("  {stage:14} done in {:6.2} s", start.elapsed().as_secs_f64());
+        if let Some(stage) = self.stage.take() {
+            let line = format!("  {stage:14} done");
             self.bar.suspend(|| self.console.line(&line));
         }
     }
