@@ -27,3 +27,12 @@ pub use session::Session;
 pub use states::StateStream;
 pub use sutura_proto as proto;
 pub use tracker::Tracker;
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_readme_shows_the_example() {
+        let example = include_str!("examples/stitch.rs");
+        assert!(include_str!("../../README.md").contains(example.trim_end()));
+    }
+}
