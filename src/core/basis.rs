@@ -7,7 +7,7 @@
 //! derivatives have different units, and which would dominate depended on the unit of length.
 
 use crate::assembly::mass::Mass;
-use crate::linalg::{self, DenseError};
+use crate::linalg::{self, DenseError, SmallCholesky};
 use crate::modes::LinearModes;
 use faer::{Mat, MatRef};
 
@@ -39,24 +39,26 @@ pub fn mass_pca(
         weights.extend(group.eigenvalues.iter().map(|[li, lj]| first * first / (li * lj)));
     }
     let columns = linalg::concatenate(&parts);
-    let weighted = mass.multiply(columns.as_ref());
-    let scale: Vec<f64> = (0..columns.ncols())
-        .map(|j| {
-            let squared: f64 = columns.col(j).transpose() * weighted.col(j);
-            if squared > 0.0 { squared.sqrt().recip() } else { 0.0 }
-        })
-        .collect();
+    let gram = mass.inner(columns.as_ref(), columns.as_ref());
 
-    let q = mass.orthonormalize(columns.as_ref(), 1e-13)?;
-    let mut r = linalg::gram(q.as_ref(), weighted.as_ref());
+    // Q = DC₁C₂ is M-orthonormal (twice, for rounding), and QᵀMD = C₂ᵀC₁ᵀ(DᵀMD).
+    let first_pass = linalg::orthonormal_coefficients(gram.as_ref(), 1e-13)?;
+    let y = linalg::product(columns.as_ref(), first_pass.as_ref());
+    let second_pass = SmallCholesky::new(mass.inner(y.as_ref(), y.as_ref()).as_ref())?.whitening();
+    let mut r = linalg::small_product(
+        second_pass.transpose(),
+        linalg::small_product(first_pass.transpose(), gram.as_ref()).as_ref(),
+    );
     for j in 0..r.ncols() {
-        let factor = scale[j] * weights[j].min(1.0);
+        let length = gram[(j, j)].max(0.0).sqrt();
+        let factor = if length > 0.0 { weights[j].min(1.0) / length } else { 0.0 };
         (0..r.nrows()).for_each(|i| r[(i, j)] *= factor);
     }
     let (singular, left) = linalg::left_singular(r.as_ref())?;
     let largest = singular.first().copied().unwrap_or(1.0).max(f64::MIN_POSITIVE);
     let size = size.min(left.ncols());
-    let mut basis = linalg::product(q.as_ref(), left.subcols(0, size));
+    let leading = linalg::small_product(second_pass.as_ref(), left.subcols(0, size));
+    let mut basis = linalg::product(y.as_ref(), leading.as_ref());
     for j in 0..size {
         // A sign that does not depend on the decomposition: the largest entry is positive.
         let column = basis.col_as_slice_mut(j);

@@ -139,15 +139,16 @@ impl SmallCholesky {
         self.0.solve(b)
     }
 
-    /// `B·L⁻ᵀ` for a tall B: with A = BᵀMB this makes the columns M-orthonormal.
-    pub fn orthonormalize(&self, b: MatRef<'_, f64>) -> Mat<f64> {
-        let mut inverse = Mat::<f64>::identity(b.ncols(), b.ncols());
+    /// L⁻ᵀ: with A = BᵀMB, the columns of B·L⁻ᵀ are M-orthonormal.
+    pub fn whitening(&self) -> Mat<f64> {
+        let k = self.0.L().ncols();
+        let mut inverse = Mat::<f64>::identity(k, k);
         faer::linalg::triangular_solve::solve_lower_triangular_in_place(
             self.0.L(),
             inverse.as_mut(),
             Par::Seq,
         );
-        product(b, inverse.transpose())
+        inverse.transpose().to_owned()
     }
 }
 
@@ -191,12 +192,20 @@ pub fn concatenate(parts: &[MatRef<'_, f64>]) -> Mat<f64> {
     all
 }
 
+/// Calls `f(j, column)` for every column of a column-major matrix, in parallel. Also where a sweep is
+/// only memory traffic: fresh pages are then first touched, and zeroed, by both threads.
+pub fn for_each_column(a: &mut Mat<f64>, f: impl Fn(usize, &mut [f64]) + Sync) {
+    a.as_mut().par_col_chunks_mut(1).enumerate().for_each(|(j, column)| {
+        if let Some(column) = column.col_mut(0).try_as_col_major_mut() {
+            f(j, column.as_slice_mut());
+        }
+    });
+}
+
 /// The chosen columns of `a`.
 pub fn columns(a: &Mat<f64>, chosen: &[usize]) -> Mat<f64> {
     let mut some = Mat::zeros(a.nrows(), chosen.len());
-    for (to, &from) in chosen.iter().enumerate() {
-        some.col_as_slice_mut(to).copy_from_slice(a.col_as_slice(from));
-    }
+    for_each_column(&mut some, |j, column| column.copy_from_slice(a.col_as_slice(chosen[j])));
     some
 }
 

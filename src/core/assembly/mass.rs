@@ -3,7 +3,6 @@
 use super::sparse::ScalarMatrix;
 use crate::linalg;
 use faer::{Mat, MatRef};
-use rayon::prelude::*;
 
 /// M over the free degrees of freedom; the same for the three axes.
 #[derive(Debug)]
@@ -17,23 +16,23 @@ pub enum Mass {
 impl Mass {
     /// `M·X`, X being n×k.
     pub fn multiply(&self, x: MatRef<'_, f64>) -> Mat<f64> {
-        let mut y = x.to_owned();
-        match self {
-            Mass::Lumped(masses) => y.as_mut().par_col_chunks_mut(1).for_each(|mut column| {
-                for (v, m) in masses.iter().enumerate() {
-                    for axis in 0..3 {
-                        column[(3 * v + axis, 0)] *= m;
+        let mut y = Mat::zeros(x.nrows(), x.ncols());
+        linalg::for_each_column(&mut y, |j, y| {
+            for (y, x) in y.iter_mut().zip(x.col(j).iter()) {
+                *y = *x;
+            }
+            match self {
+                Mass::Lumped(masses) => {
+                    for (three, m) in y.chunks_exact_mut(3).zip(masses) {
+                        three.iter_mut().for_each(|y| *y *= m);
                     }
                 }
-            }),
-            Mass::Consistent(matrix) => {
-                let mut source = vec![0.0; x.nrows()];
-                for j in 0..x.ncols() {
-                    source.copy_from_slice(y.col_as_slice(j));
-                    matrix.multiply_column(&source, y.col_as_slice_mut(j));
+                Mass::Consistent(matrix) => {
+                    let source = y.to_vec();
+                    matrix.multiply_column(&source, y);
                 }
             }
-        }
+        });
         y
     }
 
@@ -70,7 +69,7 @@ impl Mass {
         let first = linalg::orthonormal_coefficients(self.inner(x, x).as_ref(), drop)?;
         let y = linalg::product(x, first.as_ref());
         let second = linalg::SmallCholesky::new(self.inner(y.as_ref(), y.as_ref()).as_ref())?;
-        Ok(second.orthonormalize(y.as_ref()))
+        Ok(linalg::product(y.as_ref(), second.whitening().as_ref()))
     }
 
     /// Bytes held.

@@ -120,11 +120,15 @@ impl BlockMatrix {
         let mut rows = vec![[[0.0f64; LANES]; 3]; self.pattern.n()];
         for first in (0..x.ncols()).step_by(LANES) {
             let lanes = LANES.min(x.ncols() - first);
-            for lane in 0..lanes {
-                for (packed, value) in packed.iter_mut().zip(x.col(first + lane).iter()) {
-                    packed[lane] = *value;
+            packed.par_chunks_mut(ROWS_PER_TASK).enumerate().for_each(|(chunk, packed)| {
+                let start = chunk * ROWS_PER_TASK;
+                for lane in 0..lanes {
+                    let column = x.col(first + lane).subrows(start, packed.len());
+                    for (packed, value) in packed.iter_mut().zip(column.iter()) {
+                        packed[lane] = *value;
+                    }
                 }
-            }
+            });
             rows.par_chunks_mut(ROWS_PER_TASK).enumerate().for_each(|(chunk, rows)| {
                 linalg::vectorized(
                     #[inline(always)]
@@ -135,14 +139,13 @@ impl BlockMatrix {
                     },
                 );
             });
-            for lane in 0..lanes {
-                let column = y.col_as_slice_mut(first + lane);
-                for (three, row) in column.chunks_exact_mut(3).zip(&rows) {
-                    for axis in 0..3 {
-                        three[axis] = row[axis][lane];
+            y.as_mut().subcols_mut(first, lanes).par_col_chunks_mut(1).enumerate().for_each(
+                |(lane, column)| {
+                    for (i, y) in column.col_mut(0).iter_mut().enumerate() {
+                        *y = rows[i / 3][i % 3][lane];
                     }
-                }
-            }
+                },
+            );
         }
         y
     }
@@ -195,7 +198,7 @@ impl ScalarMatrix {
     }
     /// `(A ⊗ I₃)·x` for one column of 3·vertices numbers.
     pub fn multiply_column(&self, x: &[f64], y: &mut [f64]) {
-        y.par_chunks_exact_mut(3).enumerate().for_each(|(v, y)| {
+        for (v, y) in y.chunks_exact_mut(3).enumerate() {
             let mut sum = [0.0; 3];
             for entry in self.pattern.range(v) {
                 let at = 3 * self.pattern.columns[entry] as usize;
@@ -204,7 +207,7 @@ impl ScalarMatrix {
                 }
             }
             y.copy_from_slice(&sum);
-        });
+        }
     }
 }
 

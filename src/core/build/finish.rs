@@ -21,6 +21,10 @@ const LEAST_VALIDATION_POSES: usize = 10;
 /// Validation poses come from another stream than training poses.
 const VALIDATION_SEED: u64 = 0x9e37_79b9_7f4a_7c15;
 
+/// A rule whose error grew by no more than this since its training is as good as it was: the error
+/// itself is known only to about a sixth, from a score of validation poses.
+const REUSING_FACTOR: f64 = 1.25;
+
 /// A rule that even its own training left above the tolerance is replaced after an edit only if it
 /// has become worse than that by this factor: training anew costs more than the rest of an edit.
 const RETRAINING_FACTOR: f64 = 2.0;
@@ -179,7 +183,7 @@ impl Fit<'_> {
         if let Some((old, trained_error)) = reuse {
             let acceptable = tolerance.max(RETRAINING_FACTOR * trained_error);
             let reused = report(&old, CubatureSource::Reused);
-            if reused.validation_error <= tolerance {
+            if reused.validation_error <= tolerance.max(REUSING_FACTOR * trained_error) {
                 return Ok((old, reused, trained_error));
             }
             let n_poses = (REFITTING_SHARE * n_training_poses as f64).ceil() as usize;

@@ -196,18 +196,21 @@ impl<'a> TrialSpace<'a> {
         }
         let sigma = self.problem.sigma;
         let mut stiff = self.problem.stitched.multiply(candidate.t.as_ref());
-        for j in 0..new.len() {
-            for (k, m) in
-                stiff.col_as_slice_mut(j).iter_mut().zip(candidate.weighted.col_as_slice(j))
-            {
+        let Candidate { t, weighted, .. } = &candidate;
+        linalg::for_each_column(&mut stiff, |j, stiff| {
+            for (k, m) in stiff.iter_mut().zip(weighted.col_as_slice(j)) {
                 *k += sigma * m;
             }
-            let energy: f64 = candidate.t.col(j).transpose() * stiff.col(j);
-            let scale = energy.max(f64::MIN_POSITIVE).sqrt().recip();
-            let Candidate { t, weighted, stretch } = &mut candidate;
-            for x in [t, weighted, stretch, &mut stiff] {
-                x.col_as_slice_mut(j).iter_mut().for_each(|x| *x *= scale);
-            }
+        });
+        let scale: Vec<f64> = (0..new.len())
+            .map(|j| {
+                let energy: f64 = t.col(j).transpose() * stiff.col(j);
+                energy.max(f64::MIN_POSITIVE).sqrt().recip()
+            })
+            .collect();
+        let Candidate { t, weighted, stretch } = &mut candidate;
+        for x in [t, weighted, stretch, &mut stiff] {
+            linalg::for_each_column(x, |j, x| x.iter_mut().for_each(|x| *x *= scale[j]));
         }
         let [inner_m, mut inner_k] = self.inner_products(&candidate);
         // From K̂_σT itself where it counts: the highest base modes are eigenvectors only to 1e-5.
@@ -305,7 +308,10 @@ pub fn update(problem: &Update<'_>, control: &dyn Control) -> Result<Updated, Mo
             // The Ritz vectors are orthonormal to about 1e-10 where large rigid parts cancelled.
             let gram =
                 linalg::SmallCholesky::new(mass.inner(shapes.as_ref(), shapes.as_ref()).as_ref())?;
-            let modes = LinearModes { shapes: gram.orthonormalize(shapes.as_ref()), eigenvalues };
+            let modes = LinearModes {
+                shapes: linalg::product(shapes.as_ref(), gram.whitening().as_ref()),
+                eigenvalues,
+            };
             return Ok(Updated { modes, residuals, error_estimates, n_rounds: round });
         }
         space.extend(linalg::columns(&solved, &unaccepted))?;

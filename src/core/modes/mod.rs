@@ -75,11 +75,11 @@ pub fn residual_vectors(
 ) -> Mat<f64> {
     let mut residual = stiffness_times_shapes;
     let ms = mass.multiply(shapes);
-    for (j, lambda) in eigenvalues.iter().enumerate() {
-        for (r, m) in residual.col_as_slice_mut(j).iter_mut().zip(ms.col_as_slice(j)) {
-            *r -= lambda * m;
+    linalg::for_each_column(&mut residual, |j, residual| {
+        for (r, m) in residual.iter_mut().zip(ms.col_as_slice(j)) {
+            *r -= eigenvalues[j] * m;
         }
-    }
+    });
     residual
 }
 

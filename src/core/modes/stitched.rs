@@ -10,6 +10,7 @@ use crate::edit::{Stitch, sorted};
 use crate::factorization::SparseCholesky;
 use crate::linalg::{self, DenseError, SmallCholesky};
 use faer::{Mat, MatRef};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -114,13 +115,20 @@ pub fn flexibility_columns(
         .collect::<std::collections::BTreeSet<_>>()
         .into_iter()
         .collect();
-    let unit: Vec<Stitch> =
-        missing.iter().map(|&pair| Stitch { id: 0, pair, stiffness_n_m: 1.0 }).collect();
-    let mut columns = StitchMatrix::new(model, &unit).dense(model.n());
-    factor.solve_in_place(columns.as_mut());
-    for (i, pair) in missing.into_iter().enumerate() {
-        all.insert(pair, Arc::new(columns.subcols(3 * i, 3).to_owned()));
-    }
+    // One task a thread, from right-hand sides to columns.
+    let share = missing.len().div_ceil(rayon::current_num_threads()).max(1);
+    let solved: Vec<_> = missing
+        .par_chunks(share)
+        .flat_map_iter(|pairs| {
+            let unit: Vec<Stitch> =
+                pairs.iter().map(|&pair| Stitch { id: 0, pair, stiffness_n_m: 1.0 }).collect();
+            let mut columns = StitchMatrix::new(model, &unit).dense(model.n());
+            factor.solve_in_place(columns.as_mut());
+            let three = |i: usize| Arc::new(columns.subcols(3 * i, 3).to_owned());
+            pairs.iter().enumerate().map(|(i, &pair)| (pair, three(i))).collect::<Vec<_>>()
+        })
+        .collect();
+    all.extend(solved);
     all
 }
 
@@ -145,19 +153,18 @@ impl<'a> StitchedStiffness<'a> {
         columns: &FlexibilityColumns,
     ) -> Result<StitchedStiffness<'a>, DenseError> {
         let a = StitchMatrix::new(model, stitches);
+        let of_stitch: Vec<&Arc<Mat<f64>>> = stitches
+            .iter()
+            .map(|stitch| columns.get(&sorted(stitch.pair)))
+            .collect::<Option<_>>()
+            .ok_or(DenseError("look-up of a flexibility column"))?;
         let mut g = Mat::zeros(model.n(), a.n_columns());
-        for (i, stitch) in stitches.iter().enumerate() {
-            let column = columns
-                .get(&sorted(stitch.pair))
-                .ok_or(DenseError("look-up of a flexibility column"))?;
-            for axis in 0..3 {
-                for (to, from) in
-                    g.col_as_slice_mut(3 * i + axis).iter_mut().zip(column.col_as_slice(axis))
-                {
-                    *to = a.root_stiffness[i] * from;
-                }
+        linalg::for_each_column(&mut g, |j, g| {
+            let column = of_stitch[j / 3].col_as_slice(j % 3);
+            for (to, from) in g.iter_mut().zip(column) {
+                *to = a.root_stiffness[j / 3] * from;
             }
-        }
+        });
         let c = a.transpose_times(g.as_ref());
         let k = c.nrows();
         let sum = Mat::from_fn(k, k, |i, j| 0.5 * (c[(i, j)] + c[(j, i)]) + f64::from(i == j));
