@@ -70,13 +70,18 @@ impl Solver<'_> {
         control: &dyn Control,
     ) -> Result<(Mat<f64>, f64), Cancelled> {
         let k = b.ncols();
-        let rhs = self.balance(b.to_owned());
-        let norms = column_norms(&rhs);
+        let balanced = (self.rigid.ncols() > 0).then(|| self.balance(b.to_owned()));
+        let rhs = balanced.as_ref().map_or(b, |balanced| balanced.as_ref());
+        let norms: Vec<f64> = (0..k).map(|j| rhs.col(j).norm_l2()).collect();
         // Balancing changes K̂_σ⁻¹B by a rigid motion only, which is removed.
-        let mut x = self.correct(rhs.as_ref(), y);
+        let mut x = self.correct(rhs, y);
         self.remove_rigid(&mut x);
-        let mut r = rhs.clone();
-        r -= self.stitched.multiply(x.as_ref());
+        let mut r = self.stitched.multiply(x.as_ref());
+        linalg::for_each_column(&mut r, |j, r| {
+            for (r, b) in r.iter_mut().zip(rhs.col(j).iter()) {
+                *r = b - *r;
+            }
+        });
         let mut direction = Mat::<f64>::zeros(b.nrows(), k);
         let mut old = vec![0.0f64; k];
         for step in 0..MOST_STEPS {
@@ -115,8 +120,10 @@ impl Solver<'_> {
     }
 
     fn remove_rigid(&self, x: &mut Mat<f64>) {
-        let c = self.mass.inner(self.rigid, x.as_ref());
-        linalg::add_product(x.as_mut(), -1.0, self.rigid, c.as_ref());
+        if self.rigid.ncols() > 0 {
+            let c = self.mass.inner(self.rigid, x.as_ref());
+            linalg::add_product(x.as_mut(), -1.0, self.rigid, c.as_ref());
+        }
     }
 
     fn precondition(&self, r: &Mat<f64>) -> Mat<f64> {
@@ -143,16 +150,9 @@ fn column_products(x: &Mat<f64>, y: &Mat<f64>) -> Vec<f64> {
     (0..x.ncols()).map(|j| x.col(j).transpose() * y.col(j)).collect()
 }
 
-fn column_norms(x: &Mat<f64>) -> Vec<f64> {
-    (0..x.ncols()).map(|j| x.col(j).norm_l2()).collect()
-}
-
 fn worst_ratio(r: &Mat<f64>, norms: &[f64]) -> f64 {
-    column_norms(r)
-        .iter()
-        .zip(norms)
-        .map(|(r, b)| if *b > 0.0 { r / b } else { 0.0 })
-        .fold(0.0, f64::max)
+    let ratio = |(j, b): (usize, &f64)| if *b > 0.0 { r.col(j).norm_l2() / b } else { 0.0 };
+    norms.iter().enumerate().map(ratio).fold(0.0, f64::max)
 }
 
 fn axpy(y: &mut [f64], alpha: f64, x: &[f64]) {
