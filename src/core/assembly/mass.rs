@@ -4,6 +4,15 @@ use super::sparse::ScalarMatrix;
 use crate::linalg;
 use faer::{Mat, MatRef};
 
+/// How mass is distributed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MassKind {
+    /// A quarter of each tet's mass at each of its corners: a diagonal matrix.
+    Lumped,
+    /// ∫ρ NᵢNⱼ: ρV/20·(1 + δᵢⱼ) for each tet.
+    Consistent,
+}
+
 /// M over the free degrees of freedom; the same for the three axes.
 #[derive(Debug)]
 pub enum Mass {

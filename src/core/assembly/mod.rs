@@ -12,7 +12,7 @@ use crate::material::{Material, stvk};
 use crate::mesh::{NO_COMPONENT, TetMesh};
 use blocks::{ElementBlocks, GradientField};
 use faer::{Mat, MatRef};
-use mass::Mass;
+use mass::{Mass, MassKind};
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 use sparse::{BlockMatrix, Pattern};
@@ -161,13 +161,13 @@ impl FullModel {
     }
 
     /// The consistent or lumped mass matrix over the free degrees of freedom.
-    pub fn mass(&self, kind: crate::build::MassKind, pattern: &Arc<Pattern>) -> Mass {
+    pub fn mass(&self, kind: MassKind, pattern: &Arc<Pattern>) -> Mass {
         match kind {
-            crate::build::MassKind::Lumped => {
+            MassKind::Lumped => {
                 let all = self.lumped_mass_kg();
                 Mass::Lumped(self.free_vertices.iter().map(|&v| all[v as usize]).collect())
             }
-            crate::build::MassKind::Consistent => {
+            MassKind::Consistent => {
                 let mut values = vec![0.0; pattern.n_entries()];
                 self.for_each_row(pattern, &mut values, |tet, a, b| {
                     let ma = self.density_kg_m3[tet] * self.volumes_m3[tet] / 20.0;

@@ -5,10 +5,10 @@ mod finish;
 mod params;
 mod spectrum;
 
+pub use crate::assembly::mass::MassKind;
+pub use crate::reduced::RayleighDamping;
 pub use artifacts::{Artifacts, BasisDelta, CubatureReport, CubatureSource};
-pub use params::{
-    BuildError, BuildParams, CubatureParams, MassKind, Method, RayleighDamping, RebuildParams,
-};
+pub use params::{BuildError, BuildParams, CubatureParams, Method, RebuildParams};
 
 use crate::assembly::FullModel;
 use crate::assembly::mass::Mass;

@@ -1,6 +1,7 @@
 //! What a build and a rebuild are asked for, and why they may refuse.
 
 use crate::assembly::FullModel;
+use crate::assembly::mass::MassKind;
 use crate::control::Cancelled;
 use crate::edit::{self, EditError};
 use crate::factorization::FactorizationError;
@@ -8,15 +9,7 @@ use crate::linalg::DenseError;
 use crate::material::Material;
 use crate::mesh::TetMesh;
 use crate::modes::ModesError;
-
-/// How mass is distributed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MassKind {
-    /// A quarter of each tet's mass at each of its corners: a diagonal matrix.
-    Lumped,
-    /// ∫ρ NᵢNⱼ: ρV/20·(1 + δᵢⱼ) for each tet.
-    Consistent,
-}
+use crate::reduced::RayleighDamping;
 
 /// Cubature training (\[M16\] §4.3).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,15 +22,6 @@ pub struct CubatureParams {
     pub tolerance: f64,
     /// Seed of the poses and of the candidate subset.
     pub seed: u64,
-}
-
-/// Rayleigh damping D = α M + β K.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RayleighDamping {
-    /// α in 1/s.
-    pub mass_per_s: f64,
-    /// β in s.
-    pub stiffness_s: f64,
 }
 
 /// Everything that [`build`](super::build) needs beside the mesh. There is no default on purpose: the caller
@@ -75,7 +59,7 @@ pub enum Method {
     FromScratch,
 }
 
-/// Parameters of [`rebuild`](super::rebuild).
+/// Parameters of [`rebuild`](super::rebuild)(super::rebuild).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RebuildParams {
     /// How to update the modes.

@@ -8,7 +8,6 @@ pub use newmark::{Integrator, Simulation, SimulationError, SimulationParams, Ste
 pub use statics::StaticError;
 
 use crate::assembly::FullModel;
-use crate::build::RayleighDamping;
 use crate::cubature::Rule;
 use crate::linalg;
 use crate::material::stvk;
@@ -45,6 +44,15 @@ pub struct EvaluatorTables {
     pub stitch_stiffness: Vec<f64>,
     /// Columns of the basis.
     pub r: usize,
+}
+
+/// Rayleigh damping D = α M + β K.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RayleighDamping {
+    /// α in 1/s.
+    pub mass_per_s: f64,
+    /// β in s.
+    pub stiffness_s: f64,
 }
 
 /// One cubature point.
