@@ -3,8 +3,11 @@
 //! Tets are stored in blocks of [`LANES`] with one lane a tet, so that stresses and their derivatives
 //! are plain loops over lanes that the compiler turns into vector instructions; only gathering
 //! corner displacements and scattering corner forces are scalar. One thread sums one vector, its
-//! tets in their order: results do not depend on scheduling. Against nalgebra's 3×3 matrices, tet by
-//! tet, this is nine times faster for the derivative right-hand sides.
+//! tets in their order: results do not depend on scheduling.
+//!
+//! Measured on 43 000 tets and one thread, for the derivative right-hand sides of 21 pairs: 34 ms,
+//! against 126 ms with nalgebra's 3×3 matrices, tet by tet. Memory traffic is what is left: keeping
+//! S(sym ∇u) beside ∇u made it 55 ms, serving several pairs in one pass over the tets 44 ms.
 
 use super::NOT_FREE;
 use crate::linalg;
