@@ -257,8 +257,12 @@ fn update(
     let weighed = LinearModes { shapes: kept.shapes.clone(), eigenvalues: weighing.clone() };
     let accurate = tolerance.map(|_| &kept);
     let count = NEW_DERIVATIVE_MODES.min(prepared.params.n_derivative_modes);
-    let New { set: new, .. } = new_derivatives(&body, &weighed, accurate, count, control)?;
-    let reused = reused_derivatives(prepared, &body, accurate, control)?;
+    // Side by side: each has passages that only one thread can do.
+    let (new, reused) = rayon::join(
+        || new_derivatives(&body, &weighed, accurate, count, control),
+        || reused_derivatives(prepared, &body, accurate, control),
+    );
+    let (New { set: new, .. }, reused) = (new?, reused?);
     clock.finish(Stage::Derivatives)?;
     let n_rigid_modes = left.ncols();
     drop(stitched);
