@@ -242,9 +242,8 @@ struct ActiveForce {
 
 impl ActiveForce {
     fn project(&mut self, generation: &Generation) {
-        let rows = generation.artifacts.basis_rows(self.force.vertex);
-        let [fx, fy, fz] = self.force.force_n;
-        self.reduced = rows.iter().map(|[x, y, z]| x * fx + y * fy + z * fz).collect();
+        let VertexForce { vertex, force_n, .. } = self.force;
+        self.reduced = generation.artifacts.vertex_load(vertex, force_n);
     }
 }
 

@@ -70,11 +70,6 @@ impl SparseCholesky {
         self.order.len()
     }
 
-    /// Number of entries in L, padding of supernodes included.
-    pub fn n_factor_entries(&self) -> usize {
-        self.values.len()
-    }
-
     /// Overwrites B (n×k) by A⁻¹B.
     pub fn solve_in_place(&self, b: MatMut<'_, f64>) {
         assert_eq!(b.nrows(), self.n());

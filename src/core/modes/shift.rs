@@ -14,8 +14,9 @@ use faer::Mat;
 pub const GOOD_RATIO: [f64; 2] = [0.1, 5.0];
 
 /// Estimates the first elastic eigenvalue from above: the lowest non-zero Ritz value of cubic
-/// displacement fields, over the components that can move rigidly. Within a factor of two for
-/// bars and blocks, a few times too high for thin shells.
+/// displacement fields, over the components that can move rigidly. Bodies held elsewhere may lie
+/// far below (51 times, for a plant whose stem is fixed and whose branches are free): the caller
+/// checks it against [`GOOD_RATIO`] once the true one is known.
 pub fn estimate_first_elastic_eigenvalue(
     model: &FullModel,
     stiffness: &BlockMatrix,
