@@ -39,10 +39,7 @@ pub fn right_hand_sides(
     control: &dyn Control,
 ) -> Result<Mat<f64>, Cancelled> {
     control::check(control)?;
-    let mut all = model.second_derivatives_at_rest(shapes, &pairs(shapes.ncols()));
-    for j in 0..all.ncols() {
-        all.col_as_slice_mut(j).iter_mut().for_each(|x| *x = -*x);
-    }
+    let all = model.second_derivatives_at_rest(shapes, -1.0);
     control.progress(Stage::Derivatives, 0.5);
     Ok(all)
 }

@@ -4,19 +4,19 @@
 //! ascending order, vertex-major (dof = 3·vertex + axis). Displacements in m, forces in N,
 //! energies in J.
 
-pub mod blocks;
 pub mod mass;
 pub mod sparse;
+pub mod tiles;
 
 use crate::material::{Material, stvk};
 use crate::mesh::{NO_COMPONENT, TetMesh};
-use blocks::{ElementBlocks, GradientField};
 use faer::{Mat, MatRef};
 use mass::{Mass, MassKind};
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 use sparse::{BlockMatrix, Pattern};
 use std::sync::Arc;
+use tiles::ElementTiles;
 
 /// The free index of a vertex that cannot move.
 pub const NOT_FREE: u32 = u32::MAX;
@@ -38,7 +38,7 @@ pub struct FullModel {
     /// For each free vertex the (tet, corner) pairs that touch it: `incidence[incidence_start[v]..]`.
     incidence_start: Vec<usize>,
     incidence: Vec<(u32, u8)>,
-    blocks: ElementBlocks,
+    tiles: ElementTiles,
 }
 
 impl FullModel {
@@ -82,8 +82,14 @@ impl FullModel {
         let corners: Vec<[u32; 4]> =
             mesh.tets().iter().map(|t| t.map(|v| free_of_vertex[v as usize])).collect();
         let (incidence_start, incidence) = incidences(free_vertices.len(), &corners);
-        let blocks =
-            ElementBlocks::new(3 * free_vertices.len(), &corners, &gradients, &volumes_m3, &lame);
+        let tiles = ElementTiles::new(
+            free_vertices.len(),
+            &corners,
+            &gradients,
+            &volumes_m3,
+            &lame,
+            &morton_order(&mesh),
+        );
         FullModel {
             mesh,
             gradients,
@@ -95,7 +101,7 @@ impl FullModel {
             corners,
             incidence_start,
             incidence,
-            blocks,
+            tiles,
         }
     }
 
@@ -226,12 +232,12 @@ impl FullModel {
     /// Internal force +∂Ψ/∂u at `u` (n numbers).
     pub fn internal_force(&self, u: &[f64]) -> Vec<f64> {
         let u = MatRef::from_column_major_slice(u, u.len(), 1);
-        self.blocks.internal_forces(u).col_as_slice(0).to_vec()
+        self.tiles.internal_forces(u).col_as_slice(0).to_vec()
     }
 
     /// Internal force +∂Ψ/∂u at each column of `u` (n×t).
     pub fn internal_forces(&self, u: MatRef<'_, f64>) -> Mat<f64> {
-        self.blocks.internal_forces(u)
+        self.tiles.internal_forces(u)
     }
 
     /// Strain energy at `u`, summed in a fixed order.
@@ -246,13 +252,10 @@ impl FullModel {
         parts.iter().sum()
     }
 
-    /// (H:x_i)x_j = D²f_int(0)[x_i, x_j] of columns of `x` (n×k) for each pair: n × pairs.
-    pub fn second_derivatives_at_rest(&self, x: MatRef<'_, f64>, pairs: &[[usize; 2]]) -> Mat<f64> {
-        let fields: Vec<GradientField> = (0..x.ncols())
-            .into_par_iter()
-            .map(|j| self.blocks.gradient_field(x.col(j).iter().copied()))
-            .collect();
-        self.blocks.second_derivatives_at_rest(&fields, pairs)
+    /// scale·(H:x_i)x_j = scale·D²f_int(0)[x_i, x_j] for every pair i ≤ j of the columns of `x` (n×k), in the
+    /// order (0, 0), (0, 1), (1, 1), (0, 2), …: n × k(k+1)/2.
+    pub fn second_derivatives_at_rest(&self, x: MatRef<'_, f64>, scale: f64) -> Mat<f64> {
+        self.tiles.second_derivatives_at_rest(x, scale)
     }
 
     /// ∇u of one tet: Σ_a u_a ⊗ ∇N_a.
@@ -310,7 +313,7 @@ impl FullModel {
             + size_of_val(&self.lame[..])
             + size_of_val(&self.corners[..]) * 2
             + size_of_val(&self.incidence[..])
-            + self.blocks.bytes()
+            + self.tiles.bytes()
             + self.free_of_vertex.len() * (24 + 4 + 4 + 4)
     }
 }
@@ -355,4 +358,34 @@ fn incidences(n: usize, corners: &[[u32; 4]]) -> (Vec<usize>, Vec<(u32, u8)>) {
         }
     }
     (start, incidence)
+}
+
+/// The tets along a Morton curve through their centroids: neighbours in the order are mostly
+/// neighbours in space, whatever order the mesh's author chose.
+fn morton_order(mesh: &TetMesh) -> Vec<u32> {
+    let centroid = |corners: &[u32; 4]| {
+        corners.iter().map(|&v| Vector3::from(mesh.vertices()[v as usize])).sum::<Vector3<f64>>()
+            / 4.0
+    };
+    let centroids: Vec<Vector3<f64>> = mesh.tets().par_iter().map(centroid).collect();
+    let low = centroids.iter().fold(Vector3::repeat(f64::INFINITY), |low, c| low.inf(c));
+    // Ten bits an axis: cells of a thousandth of the body, some tets in each.
+    let cells_per_m = 1023.0 / mesh.diagonal();
+    let spread = |bits: u64| {
+        let bits = (bits | bits << 16) & 0x0300_00ff;
+        let bits = (bits | bits << 8) & 0x0300_f00f;
+        let bits = (bits | bits << 4) & 0x030c_30c3;
+        (bits | bits << 2) & 0x0924_9249
+    };
+    let mut keyed: Vec<u64> = centroids
+        .par_iter()
+        .enumerate()
+        .map(|(tet, centroid)| {
+            let cell = (centroid - low) * cells_per_m;
+            let key = cell.iter().fold(0, |key, &x| key << 1 | spread(x as u64));
+            key << 32 | tet as u64
+        })
+        .collect();
+    keyed.par_sort_unstable();
+    keyed.into_iter().map(|key| key as u32).collect()
 }

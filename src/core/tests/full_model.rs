@@ -67,14 +67,65 @@ fn second_derivative_at_rest_is_the_derivative_of_the_stiffness() {
     let pattern = Arc::new(model.pattern(&[]));
     let [v, w] = [4.0, 5.0].map(|seed| vector(model.n(), AMPLITUDE_M, seed));
     let vw = Mat::from_fn(model.n(), 2, |i, j| [&v, &w][j][i]);
-    let both = model.second_derivatives_at_rest(vw.as_ref(), &[[0, 1], [1, 0]]);
-    let (h_vw, h_wv) = (both.col_as_slice(0), both.col_as_slice(1));
+    let wv = Mat::from_fn(model.n(), 2, |i, j| vw[(i, 1 - j)]);
+    let [vw, wv] = [vw, wv].map(|x| model.second_derivatives_at_rest(x.as_ref(), 1.0));
+    // Pairs (0, 0), (0, 1), (1, 1).
+    let (h_vw, h_wv) = (vw.col_as_slice(1), wv.col_as_slice(1));
     let rest = vec![0.0; model.n()];
     slope(|u| times(&model.tangent_stiffness(u, &pattern), &w), &rest, &v)
         .assert_is(h_vw, "(H:v)w");
     // Symmetric in v and w.
     let difference: Vec<f64> = h_vw.iter().zip(h_wv).map(|(a, b)| a - b).collect();
     assert!(norm(&difference) < 1e-14 * norm(h_vw));
+}
+
+#[test]
+fn tiled_sums_are_the_sums_over_tets() {
+    // 1440 tets: several tiles; blocks of columns that are full and that are not.
+    let bar =
+        Bar { size_m: [0.3, 0.2, 0.2], n_cells: [8, 6, 6], cell: Cell::Five, cut: Cut::HalfDepth };
+    let bar = bar.mesh();
+    let model = FullModel::new(bar.mesh, &[soft()], &bar.root);
+    let force_of = |stress: &dyn Fn(usize) -> Matrix3<f64>| {
+        let mut force = vec![0.0; model.n()];
+        for (tet, corners) in model.corners().iter().enumerate() {
+            let p = stress(tet) * model.volumes_m3()[tet];
+            for (&v, g) in corners.iter().zip(&model.gradients()[tet]) {
+                let Some(force) = force.get_mut(3 * v as usize..) else { continue };
+                let f = p * Vector3::from(*g);
+                (0..3).for_each(|axis| force[axis] += f[axis]);
+            }
+        }
+        force
+    };
+    let assert_close = |found: &[f64], exact: Vec<f64>, what: &str| {
+        let error: Vec<f64> = found.iter().zip(&exact).map(|(f, e)| f - e).collect();
+        assert!(norm(&error) < 1e-14 * norm(&exact), "{what}: {:e}", norm(&error) / norm(&exact));
+    };
+    for k in [1, 2, 5, 8, 11, 19] {
+        let x = Mat::from_fn(model.n(), k, |i, j| vector(1, AMPLITUDE_M, (i + 7919 * j) as f64)[0]);
+        let gradients: Vec<Vec<Matrix3<f64>>> = (0..k)
+            .map(|j| {
+                let of = |tet| model.displacement_gradient(tet, x.col_as_slice(j));
+                (0..model.corners().len()).map(of).collect()
+            })
+            .collect();
+        let forces = model.internal_forces(x.as_ref());
+        let derivatives = model.second_derivatives_at_rest(x.as_ref(), -3.0);
+        let pairs = sutura_core::derivatives::pairs(k);
+        assert_eq!(derivatives.ncols(), pairs.len());
+        for (j, gradients) in gradients.iter().enumerate() {
+            let stress = |tet: usize| stvk::stress(&gradients[tet], model.lame()[tet]);
+            assert_close(forces.col_as_slice(j), force_of(&stress), "force");
+        }
+        for (column, [i, j]) in pairs.into_iter().enumerate() {
+            let stress = |tet: usize| {
+                let [a, b] = [i, j].map(|m| &gradients[m][tet]);
+                stvk::stress_second_derivative_at_rest(a, b, model.lame()[tet]) * -3.0
+            };
+            assert_close(derivatives.col_as_slice(column), force_of(&stress), "derivative");
+        }
+    }
 }
 
 #[test]
