@@ -6,11 +6,12 @@ use crate::assembly::FullModel;
 use crate::assembly::mass::Mass;
 use crate::assembly::sparse::BlockMatrix;
 use crate::control::Stage;
-use crate::factorization::{SparseCholesky, shifted};
+use crate::factorization::{SparseCholesky, SymbolicCholesky, shifted};
 use crate::linalg::{self, DenseError};
 use crate::modes::lanczos::{self, ShiftInvert};
 use crate::modes::{LinearModes, shift};
 use faer::MatRef;
+use std::sync::Arc;
 
 /// Elastic modes computed beyond those kept: the highest of a set are always the least exact, and
 /// an update starts from all of them.
@@ -34,9 +35,12 @@ pub(super) fn lowest_spectrum(
     n_modes: usize,
     clock: &mut StageClock<'_>,
 ) -> Result<Spectrum, BuildError> {
+    let failed = |error| BuildError::of_factorization(error, model);
+    let symbolic = SymbolicCholesky::new(stiffness.pattern().clone(), 3).map_err(failed)?;
+    let symbolic = Arc::new(symbolic);
     let factorize = |sigma: f64| {
-        SparseCholesky::of_blocks(&shifted(stiffness, sigma, mass))
-            .map_err(|error| BuildError::of_factorization(error, model))
+        SparseCholesky::with_symbolic(symbolic.clone(), &shifted(stiffness, sigma, mass))
+            .map_err(failed)
     };
     let mut sigma = if rigid.ncols() == 0 {
         0.0

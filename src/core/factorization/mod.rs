@@ -1,30 +1,18 @@
-//! Sparse Cholesky factorization A = L Lᵀ, supernodal (faer), after a nested-dissection ordering of
-//! the *vertex* graph.
-//!
-//! Ordering vertices and expanding by three gives the fill of ordering degrees of freedom in a
-//! third of the time; minimum degree (faer's own) costs five times the flops on solids. The
-//! ordering is pure Rust: METIS is 6 % better but replaces the process's signal handlers while it
-//! runs. faer's own threading gains nothing here, so several right-hand sides are split by columns.
+//! Sparse Cholesky factorization A = L Lᵀ: nested dissection of the *vertex* graph, supernodes, a
+//! multifrontal factorization and blocked solves that keep all cores busy.
 
+mod front;
+mod numeric;
+mod ordering;
 mod solve;
+mod symbolic;
+
+pub use symbolic::SymbolicCholesky;
 
 use crate::assembly::mass::Mass;
-use crate::assembly::sparse::{BlockMatrix, Pattern, ScalarMatrix};
-use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::linalg::cholesky::llt::factor::{LltError, LltRegularization};
-use faer::perm::PermRef;
-use faer::sparse::linalg::SupernodalThreshold;
-use faer::sparse::linalg::cholesky::{
-    self, CholeskySymbolicParams, SymbolicCholesky, SymbolicCholeskyRaw, SymmetricOrdering,
-};
-use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use faer::{MatMut, Par, Side, Spec};
-use feral_ordering_core::CscPattern;
-use rayon::prelude::*;
-
-/// Columns below which splitting a blocked solve between threads loses more than it gains: a
-/// supernodal solve reads all of L for every block of columns.
-const MIN_COLUMNS_PER_THREAD: usize = 12;
+use crate::assembly::sparse::{BlockMatrix, ScalarMatrix};
+use faer::MatMut;
+use std::sync::Arc;
 
 /// Why a matrix could not be factorized.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -46,47 +34,50 @@ pub enum FactorizationError {
 /// A sparse Cholesky factorization, ready to solve.
 #[derive(Debug)]
 pub struct SparseCholesky {
-    symbolic: SymbolicCholesky<usize>,
+    symbolic: Arc<SymbolicCholesky>,
     values: Vec<f64>,
-    /// Row of the matrix at each position of the factor.
-    order: Vec<usize>,
 }
 
 impl SparseCholesky {
-    /// Factorizes a symmetric positive definite block matrix.
+    /// Analyses and factorizes a symmetric positive definite block matrix.
     pub fn of_blocks(a: &BlockMatrix) -> Result<SparseCholesky, FactorizationError> {
-        // Only the upper block triangle (v, w ≥ v) is read: entry (3w+r, 3v+c) of the lower
-        // triangle is entry (c, r) of block (v, w).
-        factorize(a.pattern(), 3, |entry, row, column| a.blocks()[entry][3 * column + row])
+        let symbolic = Arc::new(SymbolicCholesky::new(a.pattern().clone(), 3)?);
+        SparseCholesky::with_symbolic(symbolic, a)
     }
 
-    /// Factorizes a symmetric positive definite matrix with one number an entry.
+    /// Factorizes a symmetric positive definite block matrix whose pattern has been analysed.
+    pub fn with_symbolic(
+        symbolic: Arc<SymbolicCholesky>,
+        a: &BlockMatrix,
+    ) -> Result<SparseCholesky, FactorizationError> {
+        assert!(symbolic.is_of(a.pattern(), 3), "the analysis belongs to another pattern");
+        let values = numeric::factorize(&symbolic, a.blocks().as_flattened())
+            .map_err(|row| FactorizationError::NonPositivePivot { row })?;
+        Ok(SparseCholesky { symbolic, values })
+    }
+
+    /// Analyses and factorizes a symmetric positive definite matrix with one number an entry.
     pub fn of_scalars(a: &ScalarMatrix) -> Result<SparseCholesky, FactorizationError> {
-        factorize(a.pattern(), 1, |entry, _, _| a.values()[entry])
+        let symbolic = Arc::new(SymbolicCholesky::new(a.pattern().clone(), 1)?);
+        let values = numeric::factorize(&symbolic, a.values())
+            .map_err(|row| FactorizationError::NonPositivePivot { row })?;
+        Ok(SparseCholesky { symbolic, values })
+    }
+
+    /// The structure, to factorize other matrices with the same pattern.
+    pub fn symbolic(&self) -> &Arc<SymbolicCholesky> {
+        &self.symbolic
     }
 
     /// Rows of the matrix.
     pub fn n(&self) -> usize {
-        self.order.len()
+        self.symbolic.n()
     }
 
     /// Overwrites B (n×k) by A⁻¹B.
     pub fn solve_in_place(&self, b: MatMut<'_, f64>) {
         assert_eq!(b.nrows(), self.n());
-        let k = b.ncols();
-        let pieces = (k / MIN_COLUMNS_PER_THREAD).clamp(1, rayon::current_num_threads().max(1));
-        let SymbolicCholeskyRaw::Supernodal(symbolic) = self.symbolic.raw() else {
-            unreachable!("the symbolic factorization is forced to be supernodal");
-        };
-        let solve = |piece: MatMut<'_, f64>| {
-            solve::solve_in_place(symbolic, &self.values, &self.order, piece);
-        };
-        if k == 0 {
-        } else if pieces == 1 {
-            solve(b);
-        } else {
-            b.par_col_chunks_mut(k.div_ceil(pieces)).for_each(solve);
-        }
+        solve::solve_in_place(&self.symbolic, &self.values, b);
     }
 
     /// Bytes held by the factor.
@@ -113,106 +104,10 @@ pub fn shifted(stiffness: &BlockMatrix, sigma_per_s2: f64, mass: &Mass) -> Block
     sum
 }
 
-fn factorize(
-    pattern: &Pattern,
-    size: usize,
-    value: impl Fn(usize, usize, usize) -> f64,
-) -> Result<SparseCholesky, FactorizationError> {
-    let n = size * pattern.n();
-    let order = nested_dissection(pattern)?;
-    let forward: Vec<usize> =
-        order.iter().flat_map(|&v| (0..size).map(move |axis| size * v + axis)).collect();
-    let mut inverse = vec![0; n];
-    for (new, &old) in forward.iter().enumerate() {
-        inverse[old] = new;
-    }
-
-    let mut column_start = Vec::with_capacity(n + 1);
-    column_start.push(0);
-    let mut rows = Vec::new();
-    let mut values = Vec::new();
-    for v in 0..pattern.n() {
-        for column in 0..size {
-            for (entry, &w) in pattern.range(v).zip(pattern.row(v)) {
-                let first = match (w as usize).cmp(&v) {
-                    std::cmp::Ordering::Less => continue,
-                    std::cmp::Ordering::Equal => column,
-                    std::cmp::Ordering::Greater => 0,
-                };
-                for row in first..size {
-                    rows.push(size * w as usize + row);
-                    values.push(value(entry, row, column));
-                }
-            }
-            column_start.push(rows.len());
-        }
-    }
-
-    // The pattern is sorted and the permutation checked, so neither constructor can panic.
-    let symbol = SymbolicSparseColMatRef::new_checked(n, n, &column_start, None, &rows);
-    let params = CholeskySymbolicParams {
-        supernodal_flop_ratio_threshold: SupernodalThreshold::FORCE_SUPERNODAL,
-        ..Default::default()
-    };
-    let symbolic = cholesky::factorize_symbolic_cholesky(
-        symbol,
-        Side::Lower,
-        SymmetricOrdering::Custom(PermRef::new_checked(&forward, &inverse, n)),
-        params,
-    )
-    .map_err(|_| FactorizationError::TooLarge)?;
-    let mut values_of_l = vec![0.0; symbolic.len_val()];
-    let scratch = symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Spec::default());
-    symbolic
-        .factorize_numeric_llt::<f64>(
-            &mut values_of_l,
-            SparseColMatRef::new(symbol, &values),
-            Side::Lower,
-            LltRegularization::default(),
-            Par::Seq,
-            MemStack::new(&mut MemBuffer::new(scratch)),
-            Spec::default(),
-        )
-        .map_err(|LltError::NonPositivePivot { index }| {
-            // faer counts pivots in the permuted order.
-            FactorizationError::NonPositivePivot { row: forward[index.min(n - 1)] }
-        })?;
-    Ok(SparseCholesky { symbolic, values: values_of_l, order: forward })
-}
-
-/// A nested-dissection order of the vertices (new → old), checked to be a permutation.
-fn nested_dissection(pattern: &Pattern) -> Result<Vec<usize>, FactorizationError> {
-    let failed = |what: &str| FactorizationError::Ordering(what.into());
-    let n = pattern.n();
-    if i32::try_from(pattern.n_entries()).is_err() {
-        return Err(FactorizationError::TooLarge);
-    }
-    let mut start = Vec::with_capacity(n + 1);
-    start.push(0);
-    let mut neighbours = Vec::with_capacity(pattern.n_entries());
-    for v in 0..n {
-        neighbours.extend(pattern.row(v).iter().filter(|&&w| w as usize != v).map(|&w| w as i32));
-        start.push(neighbours.len() as i32);
-    }
-    let graph = CscPattern::new(n, &start, &neighbours).ok_or_else(|| failed("bad pattern"))?;
-    let order =
-        feral_scotch::scotch_order(&graph).map_err(|error| failed(&format!("{error:?}")))?;
-    let mut seen = vec![false; n];
-    for &v in &order {
-        match usize::try_from(v).ok().filter(|&v| v < n) {
-            Some(v) if !seen[v] => seen[v] = true,
-            _ => return Err(failed("not a permutation")),
-        }
-    }
-    if order.len() != n {
-        return Err(failed("not a permutation"));
-    }
-    Ok(order.into_iter().map(|v| v as usize).collect())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::assembly::sparse::Pattern;
     use faer::Mat;
     use std::sync::Arc;
 
@@ -238,16 +133,88 @@ mod tests {
         BlockMatrix::new(pattern, blocks)
     }
 
+    /// A grid of m³ vertices, diagonally dominant: its top separator is several chunks wide.
+    fn grid(m: u32) -> BlockMatrix {
+        let at = |x: u32, y: u32, z: u32| x + m * (y + m * z);
+        let mut pairs = Vec::new();
+        for z in 0..m {
+            for y in 0..m {
+                for x in 0..m {
+                    let ahead = [(x + 1, y, z), (x, y + 1, z), (x, y, z + 1)];
+                    let inside = ahead.into_iter().filter(|&(x, y, z)| x.max(y).max(z) < m);
+                    pairs.extend(inside.map(|(a, b, c)| [at(x, y, z), at(a, b, c)]));
+                }
+            }
+        }
+        let pattern = Arc::new(Pattern::new((m * m * m) as usize, &[], &pairs));
+        let mut blocks = vec![[0.0; 9]; pattern.n_entries()];
+        for v in 0..pattern.n() {
+            for (entry, &w) in pattern.range(v).zip(pattern.row(v)) {
+                let weight = ((v + w as usize) as f64).sin();
+                blocks[entry] = if v == w as usize {
+                    [20.0, 1.0, 0.0, 1.0, 20.0, 1.0, 0.0, 1.0, 20.0]
+                } else {
+                    [-1.0, 0.3, weight, 0.3, -1.0, 0.0, weight, 0.0, -1.0]
+                };
+            }
+        }
+        BlockMatrix::new(pattern, blocks)
+    }
+
     #[test]
     fn solves_to_rounding_with_few_and_many_right_hand_sides() {
-        let a = chain(60, 9.0);
+        for a in [chain(60, 9.0), grid(13)] {
+            let factor = SparseCholesky::of_blocks(&a).unwrap();
+            for k in [1, 3, 40] {
+                let b = Mat::from_fn(a.n(), k, |i, j| ((i + 7 * j) as f64).cos());
+                let mut x = b.clone();
+                factor.solve_in_place(x.as_mut());
+                assert!((a.multiply(x.as_ref()) - &b).norm_max() < 1e-13, "{k}");
+            }
+        }
+    }
+
+    #[test]
+    fn right_hand_sides_that_reach_little_are_solved_too() {
+        let a = grid(9);
         let factor = SparseCholesky::of_blocks(&a).unwrap();
-        for k in [1, 3, 40] {
-            let b = Mat::from_fn(a.n(), k, |i, j| ((i + 7 * j) as f64).cos());
+        for row in [0, 4, a.n() - 1] {
+            let b = Mat::from_fn(a.n(), 1, |i, _| f64::from(i == row));
             let mut x = b.clone();
             factor.solve_in_place(x.as_mut());
-            assert!((a.multiply(x.as_ref()) - &b).norm_max() < 1e-13, "{k}");
+            assert!((a.multiply(x.as_ref()) - &b).norm_max() < 1e-13, "{row}");
         }
+    }
+
+    #[test]
+    fn an_analysis_serves_other_values() {
+        let mut a = grid(6);
+        let first = SparseCholesky::of_blocks(&a).unwrap();
+        a.blocks_mut().iter_mut().flatten().for_each(|value| *value *= 4.0);
+        let second = SparseCholesky::with_symbolic(first.symbolic().clone(), &a).unwrap();
+        let b = Mat::from_fn(a.n(), 2, |i, j| ((i * 3 + j) as f64).sin());
+        let (mut x, mut y) = (b.clone(), b);
+        first.solve_in_place(x.as_mut());
+        second.solve_in_place(y.as_mut());
+        assert!((x - faer::Scale(4.0) * y).norm_max() < 1e-14);
+    }
+
+    #[test]
+    fn results_do_not_depend_on_the_number_of_threads() {
+        let a = grid(13);
+        let b = Mat::from_fn(a.n(), 9, |i, j| ((i + 7 * j) as f64).cos());
+        let with = |n_threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
+            pool.install(|| {
+                let factor = SparseCholesky::of_blocks(&a).unwrap();
+                let mut x = b.clone();
+                factor.solve_in_place(x.as_mut());
+                (factor.values, x)
+            })
+        };
+        let (one, four) = (with(1), with(4));
+        assert!(one.0 == four.0);
+        assert!(one.1 == four.1);
     }
 
     #[test]

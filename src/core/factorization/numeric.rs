@@ -1,0 +1,244 @@
+//! Numeric factorization: multifrontal (Duff and Reid 1983), on all cores.
+//!
+//! The front of a supernode is its panel, written straight into the factor, and the Schur
+//! complement on the rows below, its *update matrix*, which the parent's front adds up. Subtrees of
+//! the elimination forest are tasks of their own; the few large fronts above them are shared by all
+//! threads, chunk by chunk.
+
+use super::front::{self, Threads};
+use super::symbolic::{Piece, SymbolicCholesky};
+use faer::{Accum, MatMut};
+use rayon::prelude::*;
+
+/// The values of the factor of a matrix whose `entries` are the blocks (each by rows) of the
+/// analysed pattern. The error is the row of the matrix with a non-positive pivot.
+pub(super) fn factorize(symbolic: &SymbolicCholesky, entries: &[f64]) -> Result<Vec<f64>, usize> {
+    let mut values = vec![0.0; symbolic.n_values()];
+    let mut updates: Vec<Vec<f64>> = vec![Vec::new(); symbolic.supernodes().len()];
+    let (subtrees, above): (Vec<_>, Vec<_>) =
+        split_values(symbolic, &mut values).into_iter().partition(|(piece, _)| piece.is_subtree);
+
+    let roots: Vec<Result<(usize, Vec<f64>), usize>> = subtrees
+        .into_par_iter()
+        .with_max_len(1)
+        .map(|(piece, values)| {
+            let update = factorize_subtree(symbolic, entries, piece, values)?;
+            Ok((piece.supernodes.end - 1, update))
+        })
+        .collect();
+    for root in roots {
+        let (supernode, update) = root?;
+        updates[supernode] = update;
+    }
+    for (piece, panel) in above {
+        let supernode = piece.supernodes.start;
+        let depth = symbolic.width_and_depth(supernode).1;
+        let mut update = vec![0.0; depth * depth];
+        let mut front = Front::new(symbolic, supernode, panel, &mut update);
+        front.add_entries(entries);
+        for &child in symbolic.children(supernode) {
+            front.add_update(child as usize, &std::mem::take(&mut updates[child as usize]));
+        }
+        front.eliminate(Threads::All)?;
+        updates[supernode] = update;
+    }
+    Ok(values)
+}
+
+/// The pieces with the values of their panels.
+fn split_values<'a>(
+    symbolic: &'a SymbolicCholesky,
+    values: &'a mut [f64],
+) -> Vec<(&'a Piece, &'a mut [f64])> {
+    let mut rest = values;
+    symbolic
+        .pieces()
+        .iter()
+        .map(|piece| {
+            let supernodes = &symbolic.supernodes()[piece.supernodes.clone()];
+            let count = supernodes.iter().map(|s| s.values.len()).sum();
+            let (own, after) = std::mem::take(&mut rest).split_at_mut(count);
+            rest = after;
+            (piece, own)
+        })
+        .collect()
+}
+
+/// Factorizes a whole subtree and returns the update matrix of its root. Update matrices in waiting
+/// lie on a stack: those of a supernode's children are its topmost.
+fn factorize_subtree(
+    symbolic: &SymbolicCholesky,
+    entries: &[f64],
+    piece: &Piece,
+    mut values: &mut [f64],
+) -> Result<Vec<f64>, usize> {
+    let mut stack: Vec<f64> = Vec::new();
+    let mut top = 0;
+    for supernode in piece.supernodes.clone() {
+        let (panel, rest) = values.split_at_mut(symbolic.supernodes()[supernode].values.len());
+        values = rest;
+        let area = |s: usize| symbolic.width_and_depth(s).1.pow(2);
+        let children = symbolic.children(supernode);
+        let base = top - children.iter().map(|&child| area(child as usize)).sum::<usize>();
+        let own = area(supernode);
+        if stack.len() < top + own {
+            stack.resize(top + own, 0.0);
+        }
+        let (waiting, update) = stack.split_at_mut(top);
+        let update = &mut update[..own];
+        update.fill(0.0);
+        let mut front = Front::new(symbolic, supernode, panel, update);
+        front.add_entries(entries);
+        let mut at = base;
+        for &child in children {
+            let next = at + area(child as usize);
+            front.add_update(child as usize, &waiting[at..next]);
+            at = next;
+        }
+        front.eliminate(Threads::One)?;
+        stack.copy_within(top..top + own, base);
+        top = base + own;
+    }
+    stack.truncate(top);
+    stack.shrink_to_fit();
+    Ok(stack)
+}
+
+/// A supernode while it is assembled and eliminated.
+struct Front<'a> {
+    symbolic: &'a SymbolicCholesky,
+    supernode: usize,
+    /// Degrees of freedom of the columns and of the rows below.
+    width: usize,
+    depth: usize,
+    /// (width + depth) × width, by columns.
+    panel: &'a mut [f64],
+    /// depth × depth, by columns; the lower triangle counts.
+    update: &'a mut [f64],
+}
+
+impl<'a> Front<'a> {
+    fn new(
+        symbolic: &'a SymbolicCholesky,
+        supernode: usize,
+        panel: &'a mut [f64],
+        update: &'a mut [f64],
+    ) -> Front<'a> {
+        let (width, depth) = symbolic.width_and_depth(supernode);
+        Front { symbolic, supernode, width, depth, panel, update }
+    }
+
+    /// Adds the entries of the matrix in this supernode's columns.
+    fn add_entries(&mut self, entries: &[f64]) {
+        let symbolic = self.symbolic;
+        let (size, pattern) = (symbolic.size(), symbolic.pattern());
+        let columns = symbolic.supernodes()[self.supernode].columns.clone();
+        let rows = symbolic.rows(self.supernode);
+        let height = self.width + self.depth;
+        for column in columns.clone() {
+            let vertex = symbolic.order()[column];
+            for (entry, &neighbour) in pattern.range(vertex).zip(pattern.row(vertex)) {
+                let row = symbolic.position()[neighbour as usize] as usize;
+                let local = if row < column {
+                    continue;
+                } else if row < columns.end {
+                    row - columns.start
+                } else {
+                    // Rows hold every neighbour after the columns.
+                    columns.len() + rows.partition_point(|&other| (other as usize) < row)
+                };
+                let block = &entries[entry * size * size..][..size * size];
+                for c in 0..size {
+                    // Entry (row, column) of a symmetric matrix: block (column, row), transposed.
+                    let to = (size * (column - columns.start) + c) * height + size * local;
+                    let first = if row == column { c } else { 0 };
+                    for r in first..size {
+                        self.panel[to + r] += block[c * size + r];
+                    }
+                }
+            }
+        }
+    }
+
+    /// Adds the update matrix of a child.
+    fn add_update(&mut self, child: usize, update: &[f64]) {
+        let (symbolic, size) = (self.symbolic, self.symbolic.size());
+        let depth = symbolic.width_and_depth(child).1;
+        let (height, width) = (self.width + self.depth, self.width);
+        let runs = self.runs(symbolic.rows(child));
+        for (index, run) in runs.iter().enumerate() {
+            for column in 0..run.length {
+                let from = run.from + column;
+                let to = run.to + column;
+                let source = &update[from * depth..][..depth];
+                let (target, offset) = if to < width {
+                    (&mut self.panel[to * height..][..height], 0)
+                } else {
+                    (&mut self.update[(to - width) * self.depth..][..self.depth], width)
+                };
+                // From the diagonal down: the rest of this run, then whole runs.
+                add(&mut target[to - offset..][..run.length - column], &source[from..]);
+                for run in &runs[index + 1..] {
+                    add(&mut target[run.to - offset..][..run.length], &source[run.from..]);
+                }
+            }
+        }
+        debug_assert_eq!(runs.iter().map(|run| run.length).sum::<usize>(), depth);
+        debug_assert!(depth.is_multiple_of(size));
+    }
+
+    /// Where the rows of a child lie in this front, in degrees of freedom.
+    fn runs(&self, child_rows: &[u32]) -> Vec<Run> {
+        let size = self.symbolic.size();
+        let columns = &self.symbolic.supernodes()[self.supernode].columns;
+        let rows = self.symbolic.rows(self.supernode);
+        let mut runs: Vec<Run> = Vec::new();
+        let mut below = 0;
+        for (index, &row) in child_rows.iter().enumerate() {
+            let row = row as usize;
+            let local = if row < columns.end {
+                row - columns.start
+            } else {
+                while (rows[below] as usize) < row {
+                    below += 1;
+                }
+                columns.len() + below
+            };
+            let (from, to) = (size * index, size * local);
+            match runs.last_mut() {
+                // A run does not cross from the columns into the rows below.
+                Some(run) if run.to + run.length == to && to != self.width => run.length += size,
+                _ => runs.push(Run { from, to, length: size }),
+            }
+        }
+        runs
+    }
+
+    /// Factorizes the panel and subtracts its part from the update matrix.
+    fn eliminate(self, threads: Threads) -> Result<(), usize> {
+        let Front { symbolic, supernode, width, depth, panel, update } = self;
+        let mut panel = MatMut::from_column_major_slice_mut(panel, width + depth, width);
+        front::factor_panel(panel.as_mut(), threads).map_err(|column| {
+            let first = symbolic.supernodes()[supernode].columns.start;
+            let size = symbolic.size();
+            size * symbolic.order()[first + column / size] + column % size
+        })?;
+        let update = MatMut::from_column_major_slice_mut(update, depth, depth);
+        let below = panel.as_ref().split_at_row(width).1;
+        front::subtract_product(update, Accum::Add, below, threads);
+        Ok(())
+    }
+}
+
+/// Consecutive rows of a child's update matrix that are consecutive in the parent's front too.
+struct Run {
+    from: usize,
+    to: usize,
+    length: usize,
+}
+
+fn add(target: &mut [f64], source: &[f64]) {
+    for (t, s) in target.iter_mut().zip(source) {
+        *t += s;
+    }
+}
