@@ -121,6 +121,14 @@ impl Artifacts {
     pub fn n_free_dofs(&self) -> usize {
         self.prepared.model.n()
     }
+    /// The shift σ of the factorized K + σM in 1/s²: zero for a body that is held everywhere.
+    pub fn shift_per_s2(&self) -> f64 {
+        self.prepared.sigma
+    }
+    /// Bytes of the factor of K + σM that every generation shares.
+    pub fn factor_bytes(&self) -> usize {
+        self.prepared.factor.bytes()
+    }
     /// Rigid motions that cost no energy, with the stitches in force.
     pub fn n_rigid_modes(&self) -> usize {
         self.n_rigid_modes

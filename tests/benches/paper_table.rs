@@ -1,0 +1,120 @@
+//! The tables and figures of \[M16\] on bodies of its sizes, the core's stages beside its peers', and
+//! what makes them trustworthy: see README.md. `cargo bench --bench paper_table -- --help`
+
+mod bodies;
+mod clock;
+mod edits;
+mod kernels;
+mod measure;
+mod paper;
+mod peers;
+mod pictures;
+mod references;
+mod report;
+mod results;
+mod scaling;
+mod session;
+
+use bodies::Failure;
+use clap::Parser;
+use peers::Peers;
+use results::{Part, Plan};
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// Measures the numerical core and writes paper_table.json, paper_table.md and pictures.
+#[derive(Parser)]
+struct Arguments {
+    /// Folder of NAME.msh and NAME.json; the repository's own small bodies by default.
+    #[arg(long)]
+    meshes: Option<PathBuf>,
+    /// Folder of frequencies to agree with: NAME.reference.json or NAME.json.
+    #[arg(long)]
+    references: Option<PathBuf>,
+    /// Names of bodies, separated by commas.
+    #[arg(long, value_delimiter = ',')]
+    bodies: Vec<String>,
+    /// Repetitions of everything.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
+    repeat: u16,
+    /// Most stitches of an edit.
+    #[arg(long, default_value_t = 160)]
+    stitches: usize,
+    /// Vertices of the largest cube; 0 leaves the cubes out.
+    #[arg(long)]
+    cubes: Option<usize>,
+    /// What peers/peers.py wrote.
+    #[arg(long)]
+    peers: Option<PathBuf>,
+    /// Where the results go.
+    #[arg(long, default_value = "target/paper_table")]
+    out: PathBuf,
+    /// Do one part only and print it: how the program calls itself.
+    #[arg(long, hide = true)]
+    child: Option<Part>,
+    /// Cargo's own flag.
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+impl Arguments {
+    fn plan(&self) -> Plan {
+        let own = bodies::default_directory();
+        let names: &[&str] = match self.meshes {
+            None => &["stomach_small", "plant_small", "fork_small"],
+            Some(_) => &["stomach", "plant", "fork", "dinosaur", "oball"],
+        };
+        let references = match self.meshes {
+            None => self.references.clone().or_else(|| Some(own.join("reference"))),
+            Some(_) => self.references.clone(),
+        };
+        let largest = if self.meshes.is_some() { 60_000 } else { 10_000 };
+        Plan {
+            references,
+            bodies: match self.bodies.is_empty() {
+                true => names.iter().map(|name| (*name).to_owned()).collect(),
+                false => self.bodies.clone(),
+            },
+            meshes: self.meshes.clone().unwrap_or(own),
+            repeat: self.repeat.into(),
+            most_stitches: self.stitches,
+            most_cube_vertices: self.cubes.unwrap_or(largest),
+            is_apart: true,
+        }
+    }
+}
+
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> Result<ExitCode, Failure> {
+    let plan = arguments.plan();
+    if let Some(part) = arguments.child {
+        let name = plan.bodies.first().ok_or("which body?")?;
+        let answer = plan.part(part, name)?;
+        serde_json::to_writer(std::io::stdout().lock(), &answer)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let peers = arguments.peers.as_deref().map(Peers::load).transpose()?;
+    let results = plan.run(peers)?;
+    std::fs::create_dir_all(&arguments.out)?;
+    let at = |name: &str| arguments.out.join(name);
+    let pictures = pictures::draw(&results, &arguments.out)?;
+    let text = report::markdown(&results, &pictures);
+    std::fs::write(at("paper_table.json"), serde_json::to_vec_pretty(&results)?)?;
+    std::fs::write(at("paper_table.md"), &text)?;
+    std::io::stdout().lock().write_all(text.as_bytes())?;
+    let wrong = results.wrong();
+    for (body, check) in &wrong {
+        eprintln!("wrong: {body}: {}: {:e} > {:e}", check.what, check.value, check.limit);
+    }
+    Ok(if wrong.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}

@@ -1,0 +1,182 @@
+//! The results as SVG pictures.
+
+use crate::bodies::Failure;
+use crate::edits::Comparison;
+use crate::results::{BodyResults, Results};
+use crate::scaling::{Point, Scaling};
+use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
+use plotters::prelude::*;
+use std::path::Path;
+
+const SIZE: (u32, u32) = (720, 480);
+
+const COLOURS: [RGBColor; 6] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(230, 159, 0),
+    RGBColor(86, 86, 86),
+];
+
+/// A named curve.
+struct Curve {
+    name: String,
+    points: Vec<(f64, f64)>,
+    /// Without marks: a line for the eye.
+    is_guide: bool,
+}
+
+impl Curve {
+    fn new(name: impl Into<String>, points: Vec<(f64, f64)>) -> Curve {
+        Curve { name: name.into(), points, is_guide: false }
+    }
+}
+
+/// Draws every picture into `directory` and returns their names.
+pub(crate) fn draw(results: &Results, directory: &Path) -> Result<Vec<String>, Failure> {
+    let mut names = Vec::new();
+    for body in &results.bodies {
+        let name = format!("coverage_{}.svg", body.name);
+        coverage(body, &directory.join(&name))?;
+        names.push(name);
+        let name = format!("speedup_{}.svg", body.name);
+        speedup(body, &directory.join(&name))?;
+        names.push(name);
+    }
+    if let Some(scaling) = results.scaling.as_ref().filter(|scaling| scaling.points.len() > 1) {
+        costs(scaling, &directory.join("scaling.svg"))?;
+        names.push("scaling.svg".into());
+    }
+    Ok(names)
+}
+
+fn coverage(body: &BodyResults, path: &Path) -> Result<(), Failure> {
+    let most = |by: &str| {
+        let same = body.edits.coverage.iter().filter(|curve| curve.by == by);
+        same.map(|curve| curve.n_vectors).max()
+    };
+    let curves: Vec<Curve> = body
+        .edits
+        .coverage
+        .iter()
+        .filter(|curve| Some(curve.n_vectors) == most(&curve.by))
+        .map(|curve| {
+            let points = curve.share.iter().enumerate().map(|(i, share)| ((i + 1) as f64, *share));
+            Curve::new(format!("{} ({})", curve.by, curve.n_vectors), points.collect())
+        })
+        .collect();
+    let title = format!("{}: share of each exact mode that is covered", body.name);
+    let n = curves.iter().map(|curve| curve.points.len()).max().unwrap_or(1) as f64;
+    chart(path, &title, ["exact mode", "share"], (1.0..n.max(2.0), 0.0..1.02), &curves)
+}
+
+fn speedup(body: &BodyResults, path: &Path) -> Result<(), Failure> {
+    type Stage = fn(&Comparison) -> f64;
+    let kinds: [(&str, Stage); 4] = [
+        ("linear modes", |c| c.from_scratch.modes.median_s / c.unprepared.modes.median_s),
+        ("linear modes, prepared", |c| c.from_scratch.modes.median_s / c.prepared.modes.median_s),
+        ("whole edit", |c| c.from_scratch.total.median_s / c.unprepared.total.median_s),
+        ("whole edit, prepared", |c| c.from_scratch.total.median_s / c.prepared.total.median_s),
+    ];
+    let curves: Vec<Curve> = kinds
+        .iter()
+        .map(|(name, stage)| {
+            let points = body.edits.speedup.iter().map(|c| (c.n_stitches as f64, stage(c)));
+            Curve::new(*name, points.collect())
+        })
+        .collect();
+    let top = curves.iter().flat_map(|c| &c.points).map(|p| p.1).fold(1.0, f64::max);
+    let right = curves.iter().flat_map(|c| &c.points).map(|p| p.0).fold(2.0, f64::max);
+    let title = format!("{}: speed-up over building from scratch", body.name);
+    let range = (0.0..right * 1.02, 0.0..top * 1.1);
+    chart(path, &title, ["stitches", "times faster"], range, &curves)
+}
+
+fn costs(scaling: &Scaling, path: &Path) -> Result<(), Failure> {
+    type Cost = fn(&Point) -> f64;
+    let kinds: [(&str, f64, Cost); 3] = [
+        ("factorization", 2.0, |p| p.factorization.median_s),
+        ("solve of 1 column", 4.0 / 3.0, |p| p.solve_1.median_s),
+        ("solve of 32 columns", 4.0 / 3.0, |p| p.solve_32.median_s),
+    ];
+    let last = &scaling.points[scaling.points.len() - 1];
+    let mut curves = Vec::new();
+    for (name, theory, cost) in kinds {
+        let at = |p: &Point| (p.n_vertices as f64, cost(p));
+        curves.push(Curve::new(name, scaling.points.iter().map(at).collect()));
+        // Theory's slope through the largest size.
+        let guide = |p: &Point| {
+            let n = p.n_vertices as f64;
+            (n, cost(last) * (n / last.n_vertices as f64).powf(theory))
+        };
+        let name = format!("slope {theory:.2}");
+        let points = scaling.points.iter().map(guide).collect();
+        curves.push(Curve { name, points, is_guide: true });
+    }
+    let all = || curves.iter().flat_map(|curve| &curve.points);
+    let low = all().map(|p| p.1).fold(f64::INFINITY, f64::min);
+    let high = all().map(|p| p.1).fold(0.0, f64::max);
+    let n = |p: &Point| p.n_vertices as f64;
+    let range = (
+        (0.9 * n(&scaling.points[0])..1.1 * n(last)).log_scale(),
+        (0.7 * low..1.4 * high).log_scale(),
+    );
+    chart(path, "Cubes: seconds against vertices", ["vertices", "s"], range, &curves)
+}
+
+fn chart<X, Y>(
+    path: &Path,
+    title: &str,
+    [x_label, y_label]: [&str; 2],
+    (x, y): (X, Y),
+    curves: &[Curve],
+) -> Result<(), Failure>
+where
+    X: AsRangedCoord<Value = f64>,
+    Y: AsRangedCoord<Value = f64>,
+    X::CoordDescType: ValueFormatter<f64>,
+    Y::CoordDescType: ValueFormatter<f64>,
+{
+    let failed = |error: &dyn std::fmt::Display| Failure::from(format!("{title}: {error}"));
+    let area = SVGBackend::new(path, SIZE).into_drawing_area();
+    area.fill(&WHITE).map_err(|e| failed(&e))?;
+    let mut chart = ChartBuilder::on(&area)
+        .caption(title, ("sans-serif", 18))
+        .margin(12)
+        .x_label_area_size(40)
+        .y_label_area_size(56)
+        .build_cartesian_2d(x, y)
+        .map_err(|e| failed(&e))?;
+    chart
+        .configure_mesh()
+        .x_desc(x_label)
+        .y_desc(y_label)
+        .light_line_style(WHITE)
+        .draw()
+        .map_err(|e| failed(&e))?;
+    for (i, curve) in curves.iter().enumerate() {
+        if curve.is_guide {
+            let style = BLACK.mix(0.35).stroke_width(1);
+            chart
+                .draw_series(LineSeries::new(curve.points.iter().copied(), style))
+                .map_err(|e| failed(&e))?;
+            continue;
+        }
+        let colour = COLOURS[i % COLOURS.len()];
+        chart
+            .draw_series(
+                LineSeries::new(curve.points.iter().copied(), colour.stroke_width(2)).point_size(3),
+            )
+            .map_err(|e| failed(&e))?
+            .label(curve.name.clone())
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour.stroke_width(2)));
+    }
+    chart
+        .configure_series_labels()
+        .background_style(WHITE.mix(0.8))
+        .border_style(BLACK.mix(0.3))
+        .draw()
+        .map_err(|e| failed(&e))?;
+    area.present().map_err(|e| failed(&e))
+}

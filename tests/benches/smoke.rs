@@ -1,0 +1,112 @@
+//! `paper_table` on the smallest body, once and in this process: every part runs, every check holds,
+//! and a wrong answer is noticed.
+
+mod bodies;
+mod clock;
+mod edits;
+mod kernels;
+mod measure;
+mod paper;
+mod peers;
+mod pictures;
+mod references;
+mod report;
+mod results;
+mod scaling;
+mod session;
+
+use peers::{Eigsh, PeerBody, PeerSession, Peers, Solver, Target};
+use results::{Plan, Results};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+fn plan() -> Plan {
+    let own = bodies::default_directory();
+    Plan {
+        references: Some(own.join("reference")),
+        meshes: own,
+        bodies: vec!["fork_small".into()],
+        repeat: 1,
+        most_stitches: 5,
+        most_cube_vertices: 5000,
+        is_apart: false,
+    }
+}
+
+/// A peer that does exactly as we did.
+fn mirror(results: &Results) -> Peers {
+    let mirrored = |body: &results::BodyResults| {
+        let kernels = &body.kernels;
+        let solve = |columns: usize| kernels.solves.iter().find(|s| s.columns == columns).unwrap();
+        PeerBody {
+            n_free_dofs: kernels.n_free_dofs,
+            assembly_s: vec![kernels.assembly.median_s],
+            pardiso: Solver {
+                settings: String::new(),
+                analysis_s: vec![0.0],
+                numeric_s: vec![kernels.factorization.median_s],
+                solve_1_s: vec![solve(1).times.median_s],
+                solve_32_s: vec![solve(32).times.median_s],
+                factor_nonzeros: kernels.factor_bytes as f64 / 8.0,
+                backward_error: 0.0,
+            },
+            cholmod: None,
+            eigsh: Eigsh {
+                n_modes: kernels.n_modes,
+                seconds: vec![kernels.modes.median_s],
+                frequencies_hz: kernels.frequencies_hz.clone(),
+                inverse_residual: 0.0,
+                residual: 0.0,
+            },
+            session: Some(PeerSession {
+                seconds: vec![body.sessions.total.median_s],
+                stages_s: BTreeMap::new(),
+                cubature_error: 0.0,
+                n_cubature_points: 120,
+            }),
+        }
+    };
+    let bodies = results.bodies.iter().map(|body| (body.name.clone(), mirrored(body))).collect();
+    Peers { description: "a mirror".into(), bodies }
+}
+
+#[test]
+fn every_part_runs_and_a_wrong_answer_is_noticed() {
+    let mut results = plan().run(None).unwrap();
+    let wrong = results.wrong();
+    assert!(wrong.is_empty(), "{wrong:?}");
+    let n_checks = results.checks.len();
+    assert!(n_checks > 20, "{n_checks} checks");
+
+    results.judge(Some(mirror(&results)));
+    assert!(results.wrong().is_empty());
+    let against_peers = results.ratios.iter().filter(|ratio| {
+        ratio.body == "fork_small" && ratio.work != "peak memory of a session build"
+    });
+    let mut n_ratios = 0;
+    for ratio in against_peers {
+        assert!((ratio.value - 1.0).abs() < 1e-12, "{}: {}", ratio.work, ratio.value);
+        let met = match ratio.target {
+            Target::AtMost(limit) => Some(limit >= 1.0),
+            Target::AtLeast(limit) => Some(limit <= 1.0),
+            Target::None => None,
+        };
+        assert_eq!(ratio.is_met(), met, "{}", ratio.work);
+        n_ratios += 1;
+    }
+    assert_eq!(n_ratios, 5);
+
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("paper_table");
+    std::fs::create_dir_all(&directory).unwrap();
+    let pictures = pictures::draw(&results, &directory).unwrap();
+    assert_eq!(pictures.len(), 3);
+    let text = report::markdown(&results, &pictures);
+    assert!(text.contains("Table 1 (a)") && !text.contains("NaN"), "{text}");
+
+    let mut peers = mirror(&results);
+    peers.bodies.get_mut("fork_small").unwrap().eigsh.frequencies_hz[3] *= 1.0 + 1e-5;
+    let path = directory.join("peers.json");
+    std::fs::write(&path, serde_json::to_vec(&peers).unwrap()).unwrap();
+    results.judge(Some(Peers::load(&path).unwrap()));
+    assert_eq!(results.wrong().len(), 1);
+}
