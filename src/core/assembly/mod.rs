@@ -14,9 +14,12 @@ use faer::{Mat, MatRef};
 use mass::{Mass, MassKind};
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
-use sparse::{BlockMatrix, Pattern};
+use sparse::{BlockMatrix, Incidence, Pattern};
 use std::sync::Arc;
 use tiles::ElementTiles;
+
+/// Rows of a sparse matrix that one task sums.
+const ROWS_PER_TASK: usize = 512;
 
 /// The free index of a vertex that cannot move.
 pub const NOT_FREE: u32 = u32::MAX;
@@ -35,9 +38,8 @@ pub struct FullModel {
     free_vertices: Vec<u32>,
     /// Free indices of each tet's corners.
     corners: Vec<[u32; 4]>,
-    /// For each free vertex the (tet, corner) pairs that touch it: `incidence[incidence_start[v]..]`.
-    incidence_start: Vec<usize>,
-    incidence: Vec<(u32, u8)>,
+    /// Elements of `tiles` at each free vertex.
+    incidence: Incidence,
     tiles: ElementTiles,
 }
 
@@ -81,7 +83,6 @@ impl FullModel {
         }
         let corners: Vec<[u32; 4]> =
             mesh.tets().iter().map(|t| t.map(|v| free_of_vertex[v as usize])).collect();
-        let (incidence_start, incidence) = incidences(free_vertices.len(), &corners);
         let tiles = ElementTiles::new(
             free_vertices.len(),
             &corners,
@@ -90,6 +91,8 @@ impl FullModel {
             &lame,
             &morton_order(&mesh),
         );
+        let of_elements = tiles.elements().iter().map(|element| &element.corners);
+        let incidence = Incidence::new(free_vertices.len(), of_elements);
         FullModel {
             mesh,
             gradients,
@@ -99,7 +102,6 @@ impl FullModel {
             free_of_vertex,
             free_vertices,
             corners,
-            incidence_start,
             incidence,
             tiles,
         }
@@ -163,7 +165,8 @@ impl FullModel {
     pub fn pattern(&self, pairs: &[[u32; 2]]) -> Pattern {
         let pairs: Vec<[u32; 2]> =
             pairs.iter().map(|p| p.map(|v| self.free_of_vertex[v as usize])).collect();
-        Pattern::new(self.free_vertices.len(), &self.corners, &pairs)
+        let corners = |element: usize| &self.tiles.elements()[element].corners;
+        Pattern::of_incidence(&self.incidence, corners, &pairs)
     }
 
     /// The consistent or lumped mass matrix over the free degrees of freedom.
@@ -175,9 +178,12 @@ impl FullModel {
             }
             MassKind::Consistent => {
                 let mut values = vec![0.0; pattern.n_entries()];
-                self.for_each_row(pattern, &mut values, |tet, a, b| {
-                    let ma = self.density_kg_m3[tet] * self.volumes_m3[tet] / 20.0;
-                    if a == b { 2.0 * ma } else { ma }
+                self.for_each_row(pattern, &mut values, |element, a| {
+                    let tet = self.tiles.elements()[element].tet as usize;
+                    let share = self.density_kg_m3[tet] * self.volumes_m3[tet] / 20.0;
+                    let mut row = [share; 4];
+                    row[a] += share;
+                    row
                 });
                 Mass::Consistent(sparse::ScalarMatrix::new(pattern.clone(), values))
             }
@@ -187,44 +193,69 @@ impl FullModel {
     /// K = ∂f_int/∂u at rest.
     pub fn rest_stiffness(&self, pattern: &Arc<Pattern>) -> BlockMatrix {
         let mut blocks = vec![[0.0; 9]; pattern.n_entries()];
-        self.for_each_row(pattern, &mut blocks, |tet, a, b| {
-            let (ga, gb) = (self.gradients[tet][a], self.gradients[tet][b]);
-            let [lame_lambda, lame_mu] = self.lame[tet];
-            let volume = self.volumes_m3[tet];
-            let dot = ga[0] * gb[0] + ga[1] * gb[1] + ga[2] * gb[2];
-            std::array::from_fn(|i| {
-                let (r, c) = (i / 3, i % 3);
-                let diagonal = if r == c { lame_mu * dot } else { 0.0 };
-                volume * (lame_lambda * ga[r] * gb[c] + lame_mu * ga[c] * gb[r] + diagonal)
-            })
+        self.for_each_row(pattern, &mut blocks, |element, a| {
+            let element = &self.tiles.elements()[element];
+            let (g, mu) = (element.gradients(), element.volume_mu);
+            // K_ab = V (λ gₐg_bᵀ + μ g_bgₐᵀ + μ gₐ·g_b I)
+            let mut row = [ZERO_BLOCK; 4];
+            for b in 0..4 {
+                add_dyads(&mut row[b], [element.volume_lambda, mu], &g[a], &g[b]);
+                let dot = mu * (g[a][0] * g[b][0] + g[a][1] * g[b][1] + g[a][2] * g[b][2]);
+                for (axis, numbers) in row[b].iter_mut().enumerate() {
+                    numbers[axis] += dot;
+                }
+            }
+            row
         });
         BlockMatrix::new(pattern.clone(), blocks)
     }
 
     /// The tangent stiffness ∂f_int/∂u at displacement `u` (free degrees of freedom).
     pub fn tangent_stiffness(&self, u: &[f64], pattern: &Arc<Pattern>) -> BlockMatrix {
-        let derivatives: Vec<(Matrix3<f64>, Matrix3<f64>)> = (0..self.corners.len())
-            .into_par_iter()
-            .map(|tet| {
+        struct Deformed {
+            /// F∇N of the corners, 1/m.
+            gradients: [[f64; 3]; 4],
+            /// VμFFᵀ.
+            shear: [[f64; 3]; 3],
+            /// V gₐᵀS g_b.
+            pull: [[f64; 4]; 4],
+        }
+        let deformed: Vec<Deformed> = self
+            .tiles
+            .elements()
+            .par_iter()
+            .map(|element| {
+                let tet = element.tet as usize;
                 let d = self.displacement_gradient(tet, u);
-                (
-                    d + Matrix3::identity(),
-                    stvk::second_stress(&stvk::green_strain(&d), self.lame[tet]),
-                )
+                let f = d + Matrix3::identity();
+                let g = self.gradients[tet].map(Vector3::from);
+                let s = stvk::second_stress(&stvk::green_strain(&d), self.lame[tet]);
+                let sg = g.map(|g| s * g * self.volumes_m3[tet]);
+                Deformed {
+                    gradients: g.map(|g| (f * g).into()),
+                    shear: (f * f.transpose() * element.volume_mu).into(),
+                    pull: sg.map(|sg| g.map(|g| sg.dot(&g))),
+                }
             })
             .collect();
         let mut blocks = vec![[0.0; 9]; pattern.n_entries()];
-        self.for_each_row(pattern, &mut blocks, |tet, a, b| {
-            // K_ab = V [F (λ gₐg_bᵀ + μ g_bgₐᵀ + μ gₐ·g_b I) Fᵀ + (gₐᵀ S g_b) I]
-            let (f, s) = &derivatives[tet];
-            let [ga, gb] = [a, b].map(|c| Vector3::from(self.gradients[tet][c]));
-            let [lame_lambda, lame_mu] = self.lame[tet];
-            let material = ga * gb.transpose() * lame_lambda
-                + gb * ga.transpose() * lame_mu
-                + Matrix3::identity() * (lame_mu * ga.dot(&gb));
-            let block =
-                f * material * f.transpose() + Matrix3::identity() * (ga.transpose() * s * gb)[0];
-            std::array::from_fn(|i| self.volumes_m3[tet] * block[(i / 3, i % 3)])
+        self.for_each_row(pattern, &mut blocks, |at, a| {
+            let (element, Deformed { gradients: h, shear, pull }) =
+                (&self.tiles.elements()[at], &deformed[at]);
+            let (g, lame) = (element.gradients(), [element.volume_lambda, element.volume_mu]);
+            // K_ab = V [λ hₐh_bᵀ + μ h_bhₐᵀ + μ gₐ·g_b FFᵀ + (gₐᵀ S g_b) I] with h = Fg.
+            let mut row = [ZERO_BLOCK; 4];
+            for b in 0..4 {
+                add_dyads(&mut row[b], lame, &h[a], &h[b]);
+                let dot = g[a][0] * g[b][0] + g[a][1] * g[b][1] + g[a][2] * g[b][2];
+                for r in 0..3 {
+                    for c in 0..3 {
+                        row[b][r][c] += dot * shear[r][c];
+                    }
+                    row[b][r][r] += pull[a][b];
+                }
+            }
+            row
         });
         BlockMatrix::new(pattern.clone(), blocks)
     }
@@ -270,31 +301,54 @@ impl FullModel {
         gradient
     }
 
-    /// Adds `term(tet, a, b)` to the entry (corner a, corner b) of every tet, row by row: each row
-    /// is one thread's, its tets in a fixed order, so the sums do not depend on scheduling.
-    fn for_each_row<T: Accumulate>(
+    /// Sums the rows `terms(element, a)` of corner a, four entries, over all elements into `entries`. Each row is
+    /// one thread's, its tets in a fixed order, so the sums do not depend on scheduling.
+    ///
+    /// Entries are found by a table over all vertices, filled for each row: a binary search in the
+    /// row was half the time.
+    fn for_each_row<T: Term>(
         &self,
         pattern: &Pattern,
-        entries: &mut [T],
-        term: impl Fn(usize, usize, usize) -> T + Sync,
+        entries: &mut [T::Entry],
+        terms: impl Fn(usize, usize) -> [T; 4] + Sync,
     ) {
-        let mut rows: Vec<(usize, &mut [T])> = Vec::with_capacity(pattern.n());
+        let mut rows: Vec<&mut [T::Entry]> = Vec::with_capacity(pattern.n());
         let mut rest = entries;
         for v in 0..pattern.n() {
             let (row, tail) = rest.split_at_mut(pattern.range(v).len());
-            rows.push((v, row));
+            rows.push(row);
             rest = tail;
         }
-        rows.into_par_iter().for_each(|(v, row)| {
-            let columns = pattern.row(v);
-            for &(tet, a) in &self.incidence[self.incidence_start[v]..self.incidence_start[v + 1]] {
-                for (b, column) in self.corners[tet as usize].iter().enumerate() {
-                    if let Ok(at) = columns.binary_search(column) {
-                        row[at].add(term(tet as usize, a as usize, b));
+        // In the order of the tiles: most tets of a row are then still in the cache.
+        let mut ordered: Vec<(usize, &mut [T::Entry])> = Vec::with_capacity(pattern.n());
+        for v in self.tiles.vertices() {
+            ordered.push((v, std::mem::take(&mut rows[v])));
+        }
+        let elements = self.tiles.elements();
+        ordered.par_chunks_mut(ROWS_PER_TASK).for_each_init(
+            || (vec![0u32; pattern.n()], Vec::<T>::new()),
+            |(place, sums), task| {
+                for (v, row) in task {
+                    let columns = pattern.row(*v);
+                    for (at, &w) in (0..).zip(columns) {
+                        place[w as usize] = at;
+                    }
+                    sums.clear();
+                    sums.resize(columns.len(), T::ZERO);
+                    for &[element, a] in self.incidence.of(*v) {
+                        let terms = terms(element as usize, a as usize);
+                        for (term, &w) in terms.iter().zip(&elements[element as usize].corners) {
+                            if w != NOT_FREE {
+                                sums[place[w as usize] as usize].add(term);
+                            }
+                        }
+                    }
+                    for (entry, sum) in row.iter_mut().zip(&*sums) {
+                        *entry = sum.entry();
                     }
                 }
-            }
-        });
+            },
+        );
     }
 
     /// Displacements of several vectors (n×k) at the four corners of `tet`: 12 rows, corner-major.
@@ -312,52 +366,65 @@ impl FullModel {
             + size_of_val(&self.volumes_m3[..]) * 2
             + size_of_val(&self.lame[..])
             + size_of_val(&self.corners[..]) * 2
-            + size_of_val(&self.incidence[..])
+            + self.incidence.bytes()
             + self.tiles.bytes()
             + self.free_of_vertex.len() * (24 + 4 + 4 + 4)
     }
 }
 
-/// Entries that sums of element terms go into.
-trait Accumulate: Send {
-    fn add(&mut self, term: Self);
+/// What the tets add to an entry of a sparse matrix.
+trait Term: Copy + Send {
+    const ZERO: Self;
+    type Entry: Send;
+    fn add(&mut self, term: &Self);
+    fn entry(&self) -> Self::Entry;
 }
 
-impl Accumulate for f64 {
-    fn add(&mut self, term: f64) {
+impl Term for f64 {
+    const ZERO: f64 = 0.0;
+    type Entry = f64;
+    #[inline(always)]
+    fn add(&mut self, term: &f64) {
         *self += term;
     }
-}
-
-impl Accumulate for [f64; 9] {
-    fn add(&mut self, term: [f64; 9]) {
-        for (a, b) in self.iter_mut().zip(term) {
-            *a += b;
-        }
+    #[inline(always)]
+    fn entry(&self) -> f64 {
+        *self
     }
 }
 
-fn incidences(n: usize, corners: &[[u32; 4]]) -> (Vec<usize>, Vec<(u32, u8)>) {
-    let mut start = vec![0usize; n + 1];
-    for &v in corners.iter().flatten() {
-        if v != NOT_FREE {
-            start[v as usize + 1] += 1;
-        }
-    }
-    for v in 0..n {
-        start[v + 1] += start[v];
-    }
-    let mut next = start.clone();
-    let mut incidence = vec![(0, 0); start[n]];
-    for (tet, four) in corners.iter().enumerate() {
-        for (corner, &v) in four.iter().enumerate() {
-            if v != NOT_FREE {
-                incidence[next[v as usize]] = (tet as u32, corner as u8);
-                next[v as usize] += 1;
+/// A 3×3 block, each row with a fourth number that fills the vector.
+type PaddedBlock = [[f64; 4]; 3];
+
+const ZERO_BLOCK: PaddedBlock = [[0.0; 4]; 3];
+
+impl Term for PaddedBlock {
+    const ZERO: PaddedBlock = ZERO_BLOCK;
+    type Entry = [f64; 9];
+    #[inline(always)]
+    fn add(&mut self, term: &PaddedBlock) {
+        for r in 0..3 {
+            for c in 0..4 {
+                self[r][c] += term[r][c];
             }
         }
     }
-    (start, incidence)
+    #[inline(always)]
+    fn entry(&self) -> [f64; 9] {
+        let [x, y, z] = self;
+        [x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]]
+    }
+}
+
+/// Adds λ abᵀ + μ baᵀ.
+#[inline(always)]
+fn add_dyads(block: &mut PaddedBlock, [lambda, mu]: [f64; 2], a: &[f64; 3], b: &[f64; 3]) {
+    let (wide_a, wide_b) = ([a[0], a[1], a[2], 0.0], [b[0], b[1], b[2], 0.0]);
+    for r in 0..3 {
+        for c in 0..4 {
+            block[r][c] += lambda * a[r] * wide_b[c] + mu * b[r] * wide_a[c];
+        }
+    }
 }
 
 /// The tets along a Morton curve through their centroids: neighbours in the order are mostly

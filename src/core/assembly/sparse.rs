@@ -13,42 +13,110 @@ pub struct Pattern {
     columns: Vec<u32>,
 }
 
+/// The elements that touch each vertex.
+#[derive(Debug)]
+pub struct Incidence {
+    start: Vec<u32>,
+    elements: Vec<[u32; 2]>,
+}
+
+impl Incidence {
+    /// For `n` vertices and elements with the given corners; corners ≥ n are skipped: vertices that are
+    /// not free.
+    pub fn new<'a, I>(n: usize, elements: I) -> Incidence
+    where
+        I: IntoIterator<Item = &'a [u32; 4]> + Clone,
+    {
+        let mut start = vec![0u32; n + 1];
+        for &v in elements.clone().into_iter().flatten() {
+            if (v as usize) < n {
+                start[v as usize + 1] += 1;
+            }
+        }
+        for v in 0..n {
+            start[v + 1] += start[v];
+        }
+        let mut next = start.clone();
+        let mut incident = vec![[0; 2]; start[n] as usize];
+        for (element, corners) in (0..).zip(elements) {
+            for (corner, &v) in (0..).zip(corners) {
+                if (v as usize) < n {
+                    let at = &mut next[v as usize];
+                    incident[*at as usize] = [element, corner];
+                    *at += 1;
+                }
+            }
+        }
+        Incidence { start, elements: incident }
+    }
+
+    /// Number of vertices.
+    pub fn n(&self) -> usize {
+        self.start.len() - 1
+    }
+    /// `[element, corner]` for each element that has `vertex` as a corner, ascending.
+    pub fn of(&self, vertex: usize) -> &[[u32; 2]] {
+        &self.elements[self.start[vertex] as usize..self.start[vertex + 1] as usize]
+    }
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        size_of_val(&self.start[..]) + size_of_val(&self.elements[..])
+    }
+}
+
 impl Pattern {
     /// Couples the vertices of every element in `elements` and of every pair in `pairs`
     /// (entries ≥ n are skipped: vertices that are not free).
     pub fn new(n: usize, elements: &[[u32; 4]], pairs: &[[u32; 2]]) -> Pattern {
-        let groups = || elements.iter().map(|e| &e[..]).chain(pairs.iter().map(|p| &p[..]));
-        let mut count = vec![1usize; n];
-        for group in groups() {
-            for &v in group {
-                if (v as usize) < n {
-                    count[v as usize] += group.len() - 1;
-                }
-            }
-        }
-        let mut neighbours: Vec<Vec<u32>> = count.into_iter().map(Vec::with_capacity).collect();
-        for (v, list) in neighbours.iter_mut().enumerate() {
-            list.push(v as u32);
-        }
-        for group in groups() {
-            for &v in group {
-                for &w in group {
-                    if v != w && (v as usize) < n && (w as usize) < n {
-                        neighbours[v as usize].push(w);
+        Pattern::of_incidence(&Incidence::new(n, elements), |element| &elements[element], pairs)
+    }
+
+    /// The same from the incidence of the elements.
+    pub fn of_incidence<'a>(
+        incidence: &Incidence,
+        corners: impl Fn(usize) -> &'a [u32; 4] + Sync,
+        pairs: &[[u32; 2]],
+    ) -> Pattern {
+        let n = incidence.n();
+        let mut paired: Vec<[u32; 2]> = pairs.iter().flat_map(|&[v, w]| [[v, w], [w, v]]).collect();
+        paired.sort_unstable();
+        let rows_of = |first: usize, seen_by: &mut Vec<u32>| {
+            let mut columns = Vec::new();
+            let mut lengths = Vec::with_capacity(ROWS_PER_TASK);
+            for v in first..n.min(first + ROWS_PER_TASK) {
+                let start = columns.len();
+                let mut couple = |w: u32| {
+                    if (w as usize) < n && seen_by[w as usize] != v as u32 {
+                        seen_by[w as usize] = v as u32;
+                        columns.push(w);
                     }
+                };
+                couple(v as u32);
+                for &[element, _] in incidence.of(v) {
+                    corners(element as usize).iter().for_each(|&w| couple(w));
                 }
+                let first_pair = paired.partition_point(|p| (p[0] as usize) < v);
+                let of_row = paired[first_pair..].iter().take_while(|p| p[0] as usize == v);
+                of_row.for_each(|p| couple(p[1]));
+                columns[start..].sort_unstable();
+                lengths.push(columns.len() - start);
             }
-        }
-        neighbours.par_iter_mut().for_each(|list| {
-            list.sort_unstable();
-            list.dedup();
-        });
+            (columns, lengths)
+        };
+        let tasks: Vec<(Vec<u32>, Vec<usize>)> = (0..n.div_ceil(ROWS_PER_TASK))
+            .into_par_iter()
+            .map_init(|| vec![u32::MAX; n], |seen_by, task| rows_of(task * ROWS_PER_TASK, seen_by))
+            .collect();
         let mut row_start = Vec::with_capacity(n + 1);
         row_start.push(0);
-        let mut columns = Vec::with_capacity(neighbours.iter().map(Vec::len).sum());
-        for list in &neighbours {
-            columns.extend_from_slice(list);
-            row_start.push(columns.len());
+        let mut columns = Vec::with_capacity(tasks.iter().map(|(columns, _)| columns.len()).sum());
+        let mut end = 0;
+        for (of_task, lengths) in tasks {
+            columns.extend_from_slice(&of_task);
+            row_start.extend(lengths.into_iter().map(|length| {
+                end += length;
+                end
+            }));
         }
         Pattern { row_start, columns }
     }

@@ -35,33 +35,50 @@ const NO_ROW: Row = [[0.0; LANES]; 3];
 /// one tet, each twice in a row where lanes are to be rotated.
 type Field = [[f64; 2 * LANES]; 15];
 
-/// A tet.
+/// A tet, with all that sums over tets need of it in one place.
 #[derive(Clone, Debug)]
-struct Element {
+pub struct Element {
+    /// Its number in the mesh.
+    pub tet: u32,
+    /// Free indices of the corners, or [`NOT_FREE`].
+    pub corners: [u32; 4],
     /// Rows of the corners in the tile; corners that cannot move share the row behind the last.
     rows: [u16; 4],
     /// ∇N of the last three corners, 1/m; that of the first is minus their sum.
     gradients: [[f64; 3]; 3],
-    /// Vλ and Vμ, in N·m.
-    volume_lambda: f64,
-    volume_mu: f64,
+    /// Vλ in N·m.
+    pub volume_lambda: f64,
+    /// Vμ in N·m.
+    pub volume_mu: f64,
 }
 
-#[derive(Debug)]
-struct Tile {
-    elements: Vec<Element>,
-    /// Free vertices, in the order in which the elements name them first.
-    vertices: Vec<u32>,
+impl Element {
+    /// ∇N of the four corners, 1/m.
+    #[inline(always)]
+    pub fn gradients(&self) -> [[f64; 3]; 4] {
+        let [a, b, c] = self.gradients;
+        [[-(a[0] + b[0] + c[0]), -(a[1] + b[1] + c[1]), -(a[2] + b[2] + c[2])], a, b, c]
+    }
 }
 
 /// All tets of a body, in tiles.
 #[derive(Debug)]
 pub struct ElementTiles {
-    tiles: Vec<Tile>,
+    /// [`TETS_PER_TILE`] to a tile.
+    elements: Vec<Element>,
+    /// Free vertices of each tile, in the order in which its elements name them first.
+    vertices: Vec<Vec<u32>>,
     /// Where each free vertex's rows lie among the rows of all tiles: `rows[row_start[v]..]`.
     row_start: Vec<u32>,
     rows: Vec<u32>,
     n_rows: usize,
+}
+
+/// A view of one tile.
+#[derive(Clone, Copy)]
+struct Tile<'a> {
+    elements: &'a [Element],
+    vertices: &'a [u32],
 }
 
 impl ElementTiles {
@@ -74,40 +91,46 @@ impl ElementTiles {
         lame: &[[f64; 2]],
         order: &[u32],
     ) -> ElementTiles {
-        let tiles: Vec<Tile> = order
-            .par_chunks(TETS_PER_TILE)
+        let mut elements: Vec<Element> = order
+            .par_iter()
+            .map(|&tet| {
+                let t = tet as usize;
+                let ([lame_lambda, lame_mu], [_, g1, g2, g3]) = (lame[t], gradients[t]);
+                Element {
+                    tet,
+                    corners: corners[t],
+                    rows: [0; 4],
+                    gradients: [g1, g2, g3],
+                    volume_lambda: volumes_m3[t] * lame_lambda,
+                    volume_mu: volumes_m3[t] * lame_mu,
+                }
+            })
+            .collect();
+        let vertices: Vec<Vec<u32>> = elements
+            .par_chunks_mut(TETS_PER_TILE)
             .map_init(
                 || vec![u16::MAX; n_free],
-                |row_of, tets| {
+                |row_of, elements| {
                     let mut vertices = Vec::new();
-                    for &v in tets.iter().flat_map(|&t| &corners[t as usize]) {
+                    for &v in elements.iter().flat_map(|element| &element.corners) {
                         if v != NOT_FREE && row_of[v as usize] == u16::MAX {
                             row_of[v as usize] = vertices.len() as u16;
                             vertices.push(v);
                         }
                     }
                     let rest = vertices.len() as u16;
-                    let element = |&t: &u32| {
-                        let t = t as usize;
-                        let [lame_lambda, lame_mu] = lame[t];
-                        let [_, g1, g2, g3] = gradients[t];
-                        Element {
-                            rows: corners[t]
-                                .map(|v| if v == NOT_FREE { rest } else { row_of[v as usize] }),
-                            gradients: [g1, g2, g3],
-                            volume_lambda: volumes_m3[t] * lame_lambda,
-                            volume_mu: volumes_m3[t] * lame_mu,
-                        }
-                    };
-                    let elements = tets.iter().map(element).collect();
+                    for Element { rows, corners, .. } in elements {
+                        *rows =
+                            corners.map(|v| if v == NOT_FREE { rest } else { row_of[v as usize] });
+                    }
                     vertices.iter().for_each(|&v| row_of[v as usize] = u16::MAX);
-                    Tile { elements, vertices }
+                    vertices
                 },
             )
             .collect();
 
         let mut row_start = vec![0u32; n_free + 1];
-        for &v in tiles.iter().flat_map(|tile| &tile.vertices) {
+        for &v in vertices.iter().flatten() {
             row_start[v as usize + 1] += 1;
         }
         for v in 0..n_free {
@@ -116,8 +139,8 @@ impl ElementTiles {
         let mut next = row_start.clone();
         let mut rows = vec![0; row_start[n_free] as usize];
         let mut row = 0;
-        for tile in &tiles {
-            for &v in &tile.vertices {
+        for of_tile in &vertices {
+            for &v in of_tile {
                 rows[next[v as usize] as usize] = row;
                 next[v as usize] += 1;
                 row += 1;
@@ -125,7 +148,33 @@ impl ElementTiles {
             // The row of the corners that cannot move.
             row += 1;
         }
-        ElementTiles { tiles, row_start, rows, n_rows: row as usize }
+        ElementTiles { elements, vertices, row_start, rows, n_rows: row as usize }
+    }
+
+    /// The tets in the order of the tiles.
+    pub fn elements(&self) -> &[Element] {
+        &self.elements
+    }
+
+    fn tiles(&self) -> impl Iterator<Item = Tile<'_>> {
+        let parts = self.elements.chunks(TETS_PER_TILE).zip(&self.vertices);
+        parts.map(|(elements, vertices)| Tile { elements, vertices })
+    }
+
+    /// The free vertices in the order in which the tiles first name them: neighbours are mostly near.
+    pub fn vertices(&self) -> Vec<usize> {
+        let mut order = Vec::with_capacity(self.row_start.len() - 1);
+        let mut row = 0;
+        for of_tile in &self.vertices {
+            for &v in of_tile {
+                if self.rows[self.row_start[v as usize] as usize] == row {
+                    order.push(v as usize);
+                }
+                row += 1;
+            }
+            row += 1;
+        }
+        order
     }
 
     /// Internal force of each column of `u` (n×t), in N.
@@ -208,11 +257,11 @@ impl ElementTiles {
         &self,
         rows: &mut [Row],
         n_groups: usize,
-        work: impl Fn(&Tile, &mut [Row]) + Sync,
+        work: impl Fn(Tile<'_>, &mut [Row]) + Sync,
     ) {
-        let mut pieces = Vec::with_capacity(self.tiles.len());
+        let mut pieces = Vec::with_capacity(self.vertices.len());
         let mut rest = rows;
-        for tile in &self.tiles {
+        for tile in self.tiles() {
             let (piece, tail) = rest.split_at_mut((tile.vertices.len() + 1) * n_groups);
             pieces.push((tile, piece));
             rest = tail;
@@ -263,20 +312,20 @@ impl ElementTiles {
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        let of_tile = |t: &Tile| size_of_val(&t.elements[..]) + size_of_val(&t.vertices[..]);
-        self.tiles.iter().map(of_tile).sum::<usize>()
+        size_of_val(&self.elements[..])
+            + self.vertices.iter().map(|of_tile| size_of_val(&of_tile[..])).sum::<usize>()
             + size_of_val(&self.rows[..])
             + size_of_val(&self.row_start[..])
     }
 }
 
-impl Tile {
+impl Tile<'_> {
     /// The rows of columns `first..` of `x`, [`LANES`] at most, with a row at rest behind them.
     fn gather(&self, x: MatRef<'_, f64>, first: usize) -> Vec<Row> {
         let mut rows = vec![NO_ROW; self.vertices.len() + 1];
         for lane in 0..LANES.min(x.ncols() - first) {
             let column = x.col(first + lane);
-            for (row, &v) in rows.iter_mut().zip(&self.vertices) {
+            for (row, &v) in rows.iter_mut().zip(self.vertices) {
                 for (axis, row) in row.iter_mut().enumerate() {
                     row[lane] = column[3 * v as usize + axis];
                 }
@@ -429,7 +478,7 @@ fn scatter<S: Simd>(
 
 /// Internal forces, P = F S(E) as in [`crate::material::stvk::stress`].
 struct Forces<'a> {
-    tile: &'a Tile,
+    tile: Tile<'a>,
     x: &'a [Vec<Row>],
     sums: &'a mut [Row],
 }
@@ -440,7 +489,7 @@ impl WithSimd for Forces<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let n_groups = self.x.len();
-        for element in &self.tile.elements {
+        for element in self.tile.elements {
             for group in 0..n_groups {
                 for part in 0..LANES / S::F64_LANES {
                     let d = gradient(simd, element, &self.x[group], part);
@@ -463,7 +512,7 @@ impl WithSimd for Forces<'_> {
 
 /// D²P(0)[A, B] as in [`crate::material::stvk::stress_second_derivative_at_rest`].
 struct SecondDerivatives<'a> {
-    tile: &'a Tile,
+    tile: Tile<'a>,
     scale: f64,
     a: &'a [Row],
     /// Rows of the other block, if there is one.
@@ -482,7 +531,7 @@ impl WithSimd for SecondDerivatives<'_> {
         let n_groups = self.partners.len();
         let mut a: Field = [[0.0; 2 * LANES]; 15];
         let mut b: Field = [[0.0; 2 * LANES]; 15];
-        for element in &self.tile.elements {
+        for element in self.tile.elements {
             let element = &Element {
                 volume_lambda: self.scale * element.volume_lambda,
                 volume_mu: self.scale * element.volume_mu,
