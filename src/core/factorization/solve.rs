@@ -14,17 +14,24 @@ use super::symbolic::{Piece, SymbolicCholesky};
 use faer::{MatMut, MatRef};
 use rayon::prelude::*;
 
+/// Columns solved at a time: with 31 million values in the factor, a column takes 40, 7.5, 5.6, 4.4 ms
+/// of processor time among 1, 8, 16, 32; beyond, memory grows and speed does not.
+const COLUMNS: usize = 48;
+
 /// Overwrites B (n×k) by (LLᵀ)⁻¹B.
-pub(super) fn solve_in_place(symbolic: &SymbolicCholesky, values: &[f64], b: MatMut<'_, f64>) {
-    let k = b.ncols();
-    if k == 0 || b.nrows() == 0 {
+pub(super) fn solve_in_place(symbolic: &SymbolicCholesky, values: &[f64], mut b: MatMut<'_, f64>) {
+    if b.nrows() == 0 {
         return;
     }
-    let mut solver = Solver { symbolic, values, k, x: vec![0.0; b.nrows() * k] };
-    solver.gather(b.as_ref());
-    solver.forward();
-    solver.backward();
-    solver.scatter(b);
+    for first in (0..b.ncols()).step_by(COLUMNS) {
+        let k = COLUMNS.min(b.ncols() - first);
+        let b = b.as_mut().subcols_mut(first, k);
+        let mut solver = Solver { symbolic, values, k, x: vec![0.0; b.nrows() * k] };
+        solver.gather(b.as_ref());
+        solver.forward();
+        solver.backward();
+        solver.scatter(b);
+    }
 }
 
 struct Solver<'a> {

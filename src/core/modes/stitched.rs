@@ -10,7 +10,6 @@ use crate::edit::{Stitch, sorted};
 use crate::factorization::SparseCholesky;
 use crate::linalg::{self, DenseError, SmallCholesky};
 use faer::{Mat, MatRef};
-use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -101,7 +100,10 @@ impl StitchMatrix {
     }
 }
 
-/// Computes the flexibility columns of the pairs that `have` lacks, in one blocked solve.
+/// Pairs whose columns are solved together: enough for the solver's best rate.
+const PAIRS_AT_A_TIME: usize = 16;
+
+/// Computes the flexibility columns of the pairs that `have` lacks, in blocked solves.
 pub fn flexibility_columns(
     model: &FullModel,
     factor: &SparseCholesky,
@@ -115,20 +117,15 @@ pub fn flexibility_columns(
         .collect::<std::collections::BTreeSet<_>>()
         .into_iter()
         .collect();
-    // One task a thread, from right-hand sides to columns.
-    let share = missing.len().div_ceil(rayon::current_num_threads()).max(1);
-    let solved: Vec<_> = missing
-        .par_chunks(share)
-        .flat_map_iter(|pairs| {
-            let unit: Vec<Stitch> =
-                pairs.iter().map(|&pair| Stitch { id: 0, pair, stiffness_n_m: 1.0 }).collect();
-            let mut columns = StitchMatrix::new(model, &unit).dense(model.n());
-            factor.solve_in_place(columns.as_mut());
-            let three = |i: usize| Arc::new(columns.subcols(3 * i, 3).to_owned());
-            pairs.iter().enumerate().map(|(i, &pair)| (pair, three(i))).collect::<Vec<_>>()
-        })
-        .collect();
-    all.extend(solved);
+    for pairs in missing.chunks(PAIRS_AT_A_TIME) {
+        let unit: Vec<Stitch> =
+            pairs.iter().map(|&pair| Stitch { id: 0, pair, stiffness_n_m: 1.0 }).collect();
+        let mut columns = StitchMatrix::new(model, &unit).dense(model.n());
+        factor.solve_in_place(columns.as_mut());
+        for (i, &pair) in pairs.iter().enumerate() {
+            all.insert(pair, Arc::new(columns.subcols(3 * i, 3).to_owned()));
+        }
+    }
     all
 }
 
