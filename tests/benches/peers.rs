@@ -104,6 +104,8 @@ pub(crate) struct Ratio {
 pub(crate) enum Target {
     AtMost(f64),
     AtLeast(f64),
+    /// From zero, either way.
+    Within(f64),
     /// Shown only.
     None,
 }
@@ -114,6 +116,7 @@ impl Ratio {
         match self.target {
             Target::AtMost(limit) => Some(self.value <= limit),
             Target::AtLeast(limit) => Some(self.value >= limit),
+            Target::Within(limit) => Some(self.value.abs() <= limit),
             Target::None => None,
         }
     }
@@ -188,6 +191,12 @@ fn kernel_ratios(body: &BodyResults, peer: &PeerBody, is_largest: bool) -> Vec<R
         peer.best(Solver::factorization_s),
         judged(Target::AtMost(1.3)),
     )];
+    ratios.push(slower(
+        "factorization, numbers alone",
+        kernels.numeric.median_s,
+        peer.best(|s| median(&s.numeric_s)),
+        judged(Target::AtMost(1.3)),
+    ));
     for solve in &kernels.solves {
         let (theirs, target) = match solve.columns {
             1 => (peer.best(|s| median(&s.solve_1_s)), Target::None),
@@ -204,6 +213,15 @@ fn kernel_ratios(body: &BodyResults, peer: &PeerBody, is_largest: bool) -> Vec<R
         peer.pardiso.factorization_s() + median(&peer.eigsh.seconds),
         Target::AtLeast(3.0),
     ));
+    ratios.push(Ratio {
+        work: "residual ‖Kφ − λMφ‖ / ‖λMφ‖ of these modes, worst".into(),
+        against: "eigsh with Pardiso".into(),
+        body: body.name.clone(),
+        ours: format!("{:.1e}", kernels.residual),
+        theirs: format!("{:.1e}", peer.eigsh.residual),
+        value: kernels.residual,
+        target: Target::AtMost(1e-8),
+    });
     if let Some(session) = &peer.session {
         let target = if body.name == "stomach" { Target::AtLeast(4.0) } else { Target::None };
         ratios.push(faster(
@@ -246,7 +264,7 @@ fn scaling_ratios(scaling: &scaling::Scaling) -> Vec<Ratio> {
         ours: format!("{:.2}", exponent.fitted),
         theirs: format!("{:.2}", exponent.theory),
         value: exponent.fitted - exponent.theory,
-        target: Target::AtMost(0.15),
+        target: Target::Within(0.15),
     };
     scaling.exponents.iter().map(distance).collect()
 }

@@ -96,7 +96,7 @@ fn speedup(body: &BodyResults, path: &Path) -> Result<(), Failure> {
 fn costs(scaling: &Scaling, path: &Path) -> Result<(), Failure> {
     type Cost = fn(&Point) -> f64;
     let kinds: [(&str, f64, Cost); 3] = [
-        ("factorization", 2.0, |p| p.factorization.median_s),
+        ("factorization", 2.0, |p| p.numeric.median_s),
         ("solve of 1 column", 4.0 / 3.0, |p| p.solve_1.median_s),
         ("solve of 32 columns", 4.0 / 3.0, |p| p.solve_32.median_s),
     ];

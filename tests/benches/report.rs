@@ -26,6 +26,11 @@ fn ratio(from: f64, to: f64) -> String {
     }
 }
 
+/// A ratio, or a residual.
+fn number(value: f64) -> String {
+    if value != 0.0 && value.abs() < 1e-3 { format!("{value:.1e}") } else { format!("{value:.2}") }
+}
+
 fn megabytes(bytes: f64) -> String {
     format!("{:.0} MB", bytes / 1e6)
 }
@@ -96,6 +101,7 @@ fn comparison(results: &Results) -> String {
         let target = match ratio.target {
             Target::AtMost(limit) => format!("≤ {limit}"),
             Target::AtLeast(limit) => format!("≥ {limit}"),
+            Target::Within(limit) => format!("± {limit}"),
             Target::None => String::new(),
         };
         let verdict = match ratio.is_met() {
@@ -109,14 +115,15 @@ fn comparison(results: &Results) -> String {
             ratio.against.clone(),
             ratio.ours.clone(),
             ratio.theirs.clone(),
-            format!("{:.2}", ratio.value),
+            number(ratio.value),
             target,
             verdict.into(),
         ]);
     }
     table.note(
         "Ratios with a target of “at least” are theirs over ours, the others ours over theirs \
-         (exponents: the difference).",
+         (exponents: the \
+         difference; residuals: ours).",
     )
 }
 
@@ -150,7 +157,7 @@ fn correctness(results: &Results) -> String {
     }
     let mut notes = String::from("Shown and not judged:");
     for body in &results.bodies {
-        for note in body.kernels.notes.iter().chain(&body.edits.notes) {
+        for note in &body.edits.notes {
             let _ = write!(notes, " {}: {} {:.1e};", body.name, note.what, note.value);
         }
     }
@@ -406,7 +413,9 @@ fn kernels(results: &Results) -> String {
             "body",
             "free dofs",
             "assembly",
-            "factorization",
+            "ordering and analysis",
+            "numbers",
+            "GFLOP/s",
             "1 column",
             "8",
             "32",
@@ -422,7 +431,9 @@ fn kernels(results: &Results) -> String {
             body.name.clone(),
             kernels.n_free_dofs.to_string(),
             seconds(kernels.assembly.median_s),
-            seconds(kernels.factorization.median_s),
+            seconds(kernels.analysis.median_s),
+            seconds(kernels.numeric.median_s),
+            format!("{:.0}", 1e-9 * kernels.factor_flops / kernels.numeric.median_s),
         ];
         cells.extend(kernels.solves.iter().map(|solve| seconds(solve.times.median_s)));
         cells.push(seconds(kernels.modes.median_s));
@@ -461,7 +472,9 @@ fn scaling(results: &Results) -> String {
             "vertices",
             "free dofs",
             "factor",
-            "factorization",
+            "GFLOP",
+            "ordering and analysis",
+            "numbers",
             "processor",
             "1 column",
             "32 columns",
@@ -472,8 +485,10 @@ fn scaling(results: &Results) -> String {
             point.n_vertices.to_string(),
             point.n_free_dofs.to_string(),
             megabytes(point.factor_bytes as f64),
-            seconds(point.factorization.median_s),
-            point.factorization.cpu_s.map_or("–".into(), seconds),
+            format!("{:.1}", 1e-9 * point.factor_flops),
+            seconds(point.analysis.median_s),
+            seconds(point.numeric.median_s),
+            point.numeric.cpu_s.map_or("–".into(), seconds),
             seconds(point.solve_1.median_s),
             seconds(point.solve_32.median_s),
         ]);

@@ -13,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use sutura_core::assembly::FullModel;
-use sutura_core::factorization::SparseCholesky;
+use sutura_core::factorization::{SparseCholesky, SymbolicCholesky};
 use sutura_core::material::Material;
 use sutura_core::mesh::TetMesh;
 use sutura_core::testing::{Bar, Cell, Cut};
@@ -30,7 +30,10 @@ pub(crate) struct Point {
     pub(crate) n_vertices: usize,
     pub(crate) n_free_dofs: usize,
     pub(crate) factor_bytes: usize,
-    pub(crate) factorization: Times,
+    pub(crate) factor_flops: f64,
+    /// Ordering and analysis; linear but for a logarithm.
+    pub(crate) analysis: Times,
+    pub(crate) numeric: Times,
     pub(crate) solve_1: Times,
     pub(crate) solve_32: Times,
 }
@@ -67,7 +70,8 @@ pub(crate) fn measure(most_vertices: usize, repeat: usize) -> Result<Scaling, Fa
         theory,
     };
     let exponents = vec![
-        exponent("factorization, seconds", 2.0, &|p| p.factorization.median_s),
+        exponent("factorization, seconds", 2.0, &|p| p.numeric.median_s),
+        exponent("factorization, operations", 2.0, &|p| p.factor_flops),
         exponent("solve of 1 column, seconds", 4.0 / 3.0, &|p| p.solve_1.median_s),
         exponent("solve of 32 columns, seconds", 4.0 / 3.0, &|p| p.solve_32.median_s),
         exponent("bytes of the factor", 4.0 / 3.0, &|p| p.factor_bytes as f64),
@@ -91,7 +95,11 @@ fn cube(cells: usize, repeat: usize) -> Result<(Point, Check), Failure> {
     let model = FullModel::new(mesh, &[Material::stvk(5e5, 0.4, 1000.0)?], &fixed);
     let stiffness = model.rest_stiffness(&Arc::new(model.pattern(&[])));
 
-    let (factorization, factor) = timed(repeat, || SparseCholesky::of_blocks(&stiffness))?;
+    let (analysis, symbolic) =
+        timed(repeat, || SymbolicCholesky::new(stiffness.pattern().clone(), 3))?;
+    let symbolic = Arc::new(symbolic);
+    let (numeric, factor) =
+        timed(repeat, || SparseCholesky::with_symbolic(symbolic.clone(), &stiffness))?;
     let b = random(model.n(), 32);
     let solve = |columns: usize| {
         timed(repeat, || {
@@ -110,7 +118,9 @@ fn cube(cells: usize, repeat: usize) -> Result<(Point, Check), Failure> {
         n_vertices,
         n_free_dofs: model.n(),
         factor_bytes: factor.bytes(),
-        factorization,
+        factor_flops: symbolic.n_flops(),
+        analysis,
+        numeric,
         solve_1,
         solve_32,
     };

@@ -19,7 +19,7 @@ use sutura_core::basis::{WeightedDerivatives, mass_pca};
 use sutura_core::build::{self, Method, RebuildParams};
 use sutura_core::control::{Stage, Uncontrolled};
 use sutura_core::derivatives;
-use sutura_core::factorization::{SparseCholesky, shifted};
+use sutura_core::factorization::{SparseCholesky, SymbolicCholesky, shifted};
 use sutura_core::modes::lanczos::{self, ShiftInvert};
 use sutura_core::modes::rigid;
 
@@ -64,7 +64,12 @@ fn bench(criterion: &mut Criterion, body: &Body) -> Result<(), Failure> {
     let (model, mass, stiffness) = assemble();
     let sigma = base.shift_per_s2();
     let matrix = shifted(&stiffness, sigma, &mass);
-    group.bench_function("factorization", |b| b.iter(|| SparseCholesky::of_blocks(&matrix)));
+    let analyse = || SymbolicCholesky::new(matrix.pattern().clone(), 3);
+    group.bench_function("ordering and analysis", |b| b.iter(analyse));
+    let symbolic = Arc::new(analyse()?);
+    group.bench_function("factorization", |b| {
+        b.iter(|| SparseCholesky::with_symbolic(symbolic.clone(), &matrix));
+    });
 
     let factor = SparseCholesky::of_blocks(&matrix)?;
     for columns in [1, 8, 32] {
