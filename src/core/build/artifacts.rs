@@ -66,7 +66,7 @@ pub(super) struct Prepared {
     pub(super) rigid: Mat<f64>,
     /// Elastic modes, guards included.
     pub(super) modes: LinearModes,
-    /// −(H:φ_i)φ_j of the base modes and K_σ⁻¹ of them (n×p each).
+    /// −(H:φ_i)φ_j of the lowest base modes and K_σ⁻¹ of them: those that updates reuse (n×p each).
     pub(super) derivative_loads: Mat<f64>,
     pub(super) derivative_flexibility: Mat<f64>,
 }

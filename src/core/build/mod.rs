@@ -97,8 +97,14 @@ pub fn build(
     let residuals = audit(&stitched, &mass, &kept, sigma);
     let body =
         Body { model: &model, mass: &mass, stitched: &stitched, sigma, rigid: rigid.as_ref() };
-    let New { set, loads, flexibility } =
-        new_derivatives(&body, &kept, Some(&modes), params.n_derivative_modes, control)?;
+    let New { set, loads, flexibility } = new_derivatives(
+        &body,
+        &kept,
+        Some(&modes),
+        params.n_derivative_modes,
+        REUSED_SHARE,
+        control,
+    )?;
     clock.finish(Stage::Derivatives)?;
     drop(stitched);
 
@@ -178,7 +184,7 @@ fn from_scratch(
     let residuals = audit(&stitched, mass, &kept, sigma);
     let body = Body { model, mass, stitched: &stitched, sigma, rigid: rigid.as_ref() };
     let New { set, .. } =
-        new_derivatives(&body, &kept, Some(&modes), params.n_derivative_modes, clock.control)?;
+        new_derivatives(&body, &kept, Some(&modes), params.n_derivative_modes, 0.0, clock.control)?;
     clock.finish(Stage::Derivatives)?;
     Ok(Draft {
         prepared: prepared.clone(),
@@ -259,7 +265,7 @@ fn update(
     let count = NEW_DERIVATIVE_MODES.min(prepared.params.n_derivative_modes);
     // Side by side: each has passages that only one thread can do.
     let (new, reused) = rayon::join(
-        || new_derivatives(&body, &weighed, accurate, count, control),
+        || new_derivatives(&body, &weighed, accurate, count, 0.0, control),
         || reused_derivatives(prepared, &body, accurate, control),
     );
     let (New { set: new, .. }, reused) = (new?, reused?);
@@ -316,27 +322,47 @@ fn audit(
     modes::relative_residuals(residual.as_ref(), solved.as_ref(), &modes.eigenvalues, sigma)
 }
 
-/// New modal derivatives with their right-hand sides and K̂_σ⁻¹ of those.
+/// Right-hand sides solved for at a time: the solve gains nothing from more, and what surrounds it holds
+/// several blocks of this width.
+const DERIVATIVES_PER_SOLVE: usize = 48;
+
+/// New modal derivatives, with the right-hand sides that later updates reuse and K̂_σ⁻¹ of those.
 struct New {
     set: DerivativeSet,
     loads: Mat<f64>,
     flexibility: Mat<f64>,
 }
 
-/// Derivatives of every pair of the lowest `count` modes.
+/// Derivatives of every pair of the lowest `count` modes. Right-hand sides are kept for the first
+/// `kept_share` of them.
 fn new_derivatives<'a>(
     body: &Body<'a>,
     modes: &LinearModes,
     accurate: Option<&'a LinearModes>,
     count: usize,
+    kept_share: f64,
     control: &dyn Control,
 ) -> Result<New, BuildError> {
     let lowest = modes.lowest(count);
     let loads = derivatives::right_hand_sides(body.model, lowest.shapes.as_ref(), control)?;
-    let flexibility = body.stitched.solve(loads.as_ref());
-    control::check(control)?;
-    let (shapes, residual) =
-        body.solver(accurate).solve(loads.as_ref(), flexibility.clone(), control)?;
+    let (n, p) = (loads.nrows(), loads.ncols());
+    let n_kept = (kept_share * p as f64).ceil() as usize;
+    let mut flexibility = Mat::zeros(n, n_kept);
+    let mut shapes = Mat::zeros(n, p);
+    let mut residual = 0.0f64;
+    for first in (0..p).step_by(DERIVATIVES_PER_SOLVE) {
+        control::check(control)?;
+        let block = loads.subcols(first, DERIVATIVES_PER_SOLVE.min(p - first));
+        let y = body.stitched.solve(block);
+        let keep = block.ncols().min(n_kept.saturating_sub(first));
+        if keep > 0 {
+            flexibility.as_mut().subcols_mut(first, keep).copy_from(y.subcols(0, keep));
+        }
+        let (x, worst) = body.solver(accurate).solve(block, y, control)?;
+        shapes.as_mut().subcols_mut(first, block.ncols()).copy_from(&x);
+        residual = residual.max(worst);
+    }
+    let loads = loads.subcols(0, n_kept).to_owned();
     let pairs = derivatives::pairs(lowest.eigenvalues.len());
     let eigenvalues = pairs.iter().map(|p| p.map(|i| lowest.eigenvalues[i])).collect();
     let set = DerivativeSet { shapes, pairs, eigenvalues, residual };
@@ -351,15 +377,15 @@ fn reused_derivatives<'a>(
     accurate: Option<&'a LinearModes>,
     control: &dyn Control,
 ) -> Result<DerivativeSet, BuildError> {
-    let available = prepared.derivative_loads.ncols();
-    let count = (REUSED_SHARE * available as f64).ceil() as usize;
-    let loads = prepared.derivative_loads.subcols(0, count);
-    let start = prepared.derivative_flexibility.subcols(0, count).to_owned();
+    let loads = prepared.derivative_loads.as_ref();
+    let start = prepared.derivative_flexibility.clone();
     let (shapes, residual) =
         body.solver(accurate).solve(loads, body.stitched.correct(start), control)?;
     let base = &prepared.modes.eigenvalues;
-    let pairs: Vec<[usize; 2]> =
-        derivatives::pairs(prepared.params.n_derivative_modes).into_iter().take(count).collect();
+    let pairs: Vec<[usize; 2]> = derivatives::pairs(prepared.params.n_derivative_modes)
+        .into_iter()
+        .take(loads.ncols())
+        .collect();
     let eigenvalues = pairs.iter().map(|p| p.map(|i| base[i])).collect();
     Ok(DerivativeSet { shapes, pairs, eigenvalues, residual })
 }

@@ -7,12 +7,17 @@ mod statics;
 pub use newmark::{Integrator, Simulation, SimulationError, SimulationParams, StepReport};
 pub use statics::StaticError;
 
-use crate::assembly::FullModel;
+use crate::assembly::{FullModel, NOT_FREE};
 use crate::cubature::Rule;
 use crate::linalg;
 use crate::material::stvk;
 use faer::{Mat, MatRef};
 use nalgebra::Matrix3;
+use rayon::prelude::*;
+
+/// Points that one task works on where a rule has many: with every tet in it, the stiffness of all
+/// points at once would take hundreds of megabytes.
+const POINTS_PER_TASK: usize = 256;
 
 /// Energy, force and tangent stiffness in reduced coordinates.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,16 +95,29 @@ impl ReducedModel {
     ) -> ReducedModel {
         let r = basis.ncols();
         let mut gradients = Mat::zeros(9 * rule.tets.len(), r);
-        for (point, &tet) in rule.tets.iter().enumerate() {
-            let rows = model.corner_rows(tet as usize, basis);
-            let shape = &model.gradients()[tet as usize];
-            for column in 0..r {
-                for (i, j) in (0..9).map(|k| (k / 3, k % 3)) {
-                    gradients[(9 * point + 3 * i + j, column)] =
-                        (0..4).map(|a| rows[(3 * a + i, column)] * shape[a][j]).sum();
+        gradients
+            .as_mut()
+            .par_row_chunks_mut(9 * POINTS_PER_TASK)
+            .zip(rule.tets.par_chunks(POINTS_PER_TASK))
+            .for_each(|(mut gradients, tets)| {
+                for (point, &tet) in tets.iter().enumerate() {
+                    let corners = model.corners()[tet as usize];
+                    let shape = &model.gradients()[tet as usize];
+                    for (corner, shape) in corners.into_iter().zip(shape) {
+                        if corner == NOT_FREE {
+                            continue;
+                        }
+                        for column in 0..r {
+                            for i in 0..3 {
+                                let x = basis[(3 * corner as usize + i, column)];
+                                for j in 0..3 {
+                                    gradients[(9 * point + 3 * i + j, column)] += x * shape[j];
+                                }
+                            }
+                        }
+                    }
                 }
-            }
-        }
+            });
         let points = rule
             .tets
             .iter()
@@ -179,16 +197,25 @@ impl ReducedModel {
     /// Σ w V G_pᵀ (∂P/∂F) G_p + stitches, from the displacement gradients `d` of all points.
     fn stiffness_at(&self, d: &Mat<f64>) -> Mat<f64> {
         let r = self.r();
-        let mut response = Mat::<f64>::zeros(self.gradients.nrows(), r);
-        for (p, point) in self.points.iter().enumerate() {
-            let gradient = Matrix3::from_fn(|i, j| d[(9 * p + 3 * i + j, 0)]);
-            let c = stvk::stress_derivative(&gradient, point.lame);
-            let c = Mat::from_fn(9, 9, |i, j| point.weight_m3 * c[i][j]);
-            let product = linalg::small_product(c.as_ref(), self.gradients.subrows(9 * p, 9));
-            response.as_mut().subrows_mut(9 * p, 9).copy_from(&product);
+        let part = |(task, points): (usize, &[Point])| {
+            let gradients = self.gradients.subrows(9 * POINTS_PER_TASK * task, 9 * points.len());
+            let mut response = Mat::<f64>::zeros(9 * points.len(), r);
+            for (p, point) in points.iter().enumerate() {
+                let first = 9 * (POINTS_PER_TASK * task + p);
+                let gradient = Matrix3::from_fn(|i, j| d[(first + 3 * i + j, 0)]);
+                let c = stvk::stress_derivative(&gradient, point.lame);
+                let c = Mat::from_fn(9, 9, |i, j| point.weight_m3 * c[i][j]);
+                let product = linalg::small_product(c.as_ref(), gradients.subrows(9 * p, 9));
+                response.as_mut().subrows_mut(9 * p, 9).copy_from(&product);
+            }
+            linalg::small_product(gradients.transpose(), response.as_ref())
+        };
+        let parts: Vec<Mat<f64>> =
+            self.points.par_chunks(POINTS_PER_TASK).enumerate().map(part).collect();
+        let mut stiffness = self.stitch_stiffness.clone();
+        for part in parts {
+            stiffness += part;
         }
-        let mut stiffness = linalg::gram(self.gradients.as_ref(), response.as_ref());
-        stiffness += &self.stitch_stiffness;
         Mat::from_fn(r, r, |i, j| 0.5 * (stiffness[(i, j)] + stiffness[(j, i)]))
     }
 
