@@ -4,11 +4,16 @@ use crate::bodies::Failure;
 use crate::edits::Comparison;
 use crate::results::{BodyResults, Results};
 use crate::scaling::{Point, Scaling};
+use plotters::coord::combinators::BindKeyPoints;
 use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
 use plotters::prelude::*;
+use std::ops::Range;
 use std::path::Path;
 
-const SIZE: (u32, u32) = (720, 480);
+const SIZE: (u32, u32) = (860, 480);
+
+/// Width of the column of names on the right.
+const NAMES: u32 = 190;
 
 const COLOURS: [RGBColor; 6] = [
     RGBColor(0, 114, 178),
@@ -118,10 +123,14 @@ fn costs(scaling: &Scaling, path: &Path) -> Result<(), Failure> {
     let low = all().map(|p| p.1).fold(f64::INFINITY, f64::min);
     let high = all().map(|p| p.1).fold(0.0, f64::max);
     let n = |p: &Point| p.n_vertices as f64;
-    let range = (
-        (0.9 * n(&scaling.points[0])..1.1 * n(last)).log_scale(),
-        (0.7 * low..1.4 * high).log_scale(),
-    );
+    let (x, y) = (0.9 * n(&scaling.points[0])..1.1 * n(last), 0.7 * low..1.4 * high);
+    // Powers of ten alone would leave an axis of one decade with one number.
+    let ticks = |range: &Range<f64>, steps: &[f64]| -> Vec<f64> {
+        let all = (-6..6).flat_map(|e| steps.iter().map(move |step| step * 10f64.powi(e)));
+        all.filter(|tick| range.contains(tick)).collect()
+    };
+    let (x_ticks, y_ticks) = (ticks(&x, &[1.0, 2.0, 5.0]), ticks(&y, &[1.0]));
+    let range = (x.log_scale().with_key_points(x_ticks), y.log_scale().with_key_points(y_ticks));
     chart(path, "Cubes: seconds against vertices", ["vertices", "s"], range, &curves)
 }
 
@@ -141,11 +150,13 @@ where
     let failed = |error: &dyn std::fmt::Display| Failure::from(format!("{title}: {error}"));
     let area = SVGBackend::new(path, SIZE).into_drawing_area();
     area.fill(&WHITE).map_err(|e| failed(&e))?;
-    let mut chart = ChartBuilder::on(&area)
-        .caption(title, ("sans-serif", 18))
+    let (plot, names) = area.split_horizontally(SIZE.0 - NAMES);
+    let font = ("sans-serif", 16);
+    let mut chart = ChartBuilder::on(&plot)
+        .caption(title, ("sans-serif", 20))
         .margin(12)
-        .x_label_area_size(40)
-        .y_label_area_size(56)
+        .x_label_area_size(44)
+        .y_label_area_size(60)
         .build_cartesian_2d(x, y)
         .map_err(|e| failed(&e))?;
     chart
@@ -153,30 +164,24 @@ where
         .x_desc(x_label)
         .y_desc(y_label)
         .light_line_style(WHITE)
+        .label_style(font)
         .draw()
         .map_err(|e| failed(&e))?;
     for (i, curve) in curves.iter().enumerate() {
-        if curve.is_guide {
-            let style = BLACK.mix(0.35).stroke_width(1);
-            chart
-                .draw_series(LineSeries::new(curve.points.iter().copied(), style))
-                .map_err(|e| failed(&e))?;
-            continue;
-        }
-        let colour = COLOURS[i % COLOURS.len()];
+        let line = match curve.is_guide {
+            true => BLACK.mix(0.35).stroke_width(1),
+            false => COLOURS[i % COLOURS.len()].stroke_width(2),
+        };
+        let marks = if curve.is_guide { 0 } else { 3 };
+        let points = curve.points.iter().copied();
         chart
-            .draw_series(
-                LineSeries::new(curve.points.iter().copied(), colour.stroke_width(2)).point_size(3),
-            )
-            .map_err(|e| failed(&e))?
-            .label(curve.name.clone())
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour.stroke_width(2)));
+            .draw_series(LineSeries::new(points, line).point_size(marks))
+            .map_err(|e| failed(&e))?;
+        let y = 50 + 22 * i as i32;
+        names
+            .draw(&PathElement::new([(0, y), (16, y)], line))
+            .and_then(|()| names.draw(&Text::new(curve.name.clone(), (22, y - 6), font)))
+            .map_err(|e| failed(&e))?;
     }
-    chart
-        .configure_series_labels()
-        .background_style(WHITE.mix(0.8))
-        .border_style(BLACK.mix(0.3))
-        .draw()
-        .map_err(|e| failed(&e))?;
     area.present().map_err(|e| failed(&e))
 }
