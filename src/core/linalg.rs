@@ -39,6 +39,35 @@ fn sequential() {
 
 /// `XᵀY` of tall matrices (n×k, n×l → k×l).
 pub fn gram(x: MatRef<'_, f64>, y: MatRef<'_, f64>) -> Mat<f64> {
+    sum_over_chunks(x, y, |part, x, y, _| {
+        matmul(part, Accum::Replace, x.transpose(), y, 1.0, Par::Seq);
+    })
+}
+
+/// `XᵀDY` of tall matrices (n×k, n×l → k×l), D being diagonal with `weight(i)` in row i. D·Y exists
+/// only a chunk at a time, in the processor's cache.
+pub fn weighted_gram(
+    x: MatRef<'_, f64>,
+    weight: impl Fn(usize) -> f64 + Sync,
+    y: MatRef<'_, f64>,
+) -> Mat<f64> {
+    sum_over_chunks(x, y, |part, x, y, start| {
+        let weights: Vec<f64> = (start..start + y.nrows()).map(&weight).collect();
+        let mut weighted = y.to_owned();
+        for j in 0..weighted.ncols() {
+            let column = weighted.col_as_slice_mut(j).iter_mut();
+            column.zip(&weights).for_each(|(y, w)| *y *= w);
+        }
+        matmul(part, Accum::Replace, x.transpose(), weighted.as_ref(), 1.0, Par::Seq);
+    })
+}
+
+/// The sum over row chunks, in their order, of what `product(part, x, y, first row)` writes.
+fn sum_over_chunks(
+    x: MatRef<'_, f64>,
+    y: MatRef<'_, f64>,
+    product: impl Fn(MatMut<'_, f64>, MatRef<'_, f64>, MatRef<'_, f64>, usize) + Sync,
+) -> Mat<f64> {
     assert_eq!(x.nrows(), y.nrows());
     let n = x.nrows();
     let parts: Vec<Mat<f64>> = (0..n.div_ceil(ROW_CHUNK))
@@ -47,14 +76,7 @@ pub fn gram(x: MatRef<'_, f64>, y: MatRef<'_, f64>) -> Mat<f64> {
             let start = chunk * ROW_CHUNK;
             let rows = ROW_CHUNK.min(n - start);
             let mut part = Mat::zeros(x.ncols(), y.ncols());
-            matmul(
-                part.as_mut(),
-                Accum::Replace,
-                x.subrows(start, rows).transpose(),
-                y.subrows(start, rows),
-                1.0,
-                Par::Seq,
-            );
+            product(part.as_mut(), x.subrows(start, rows), y.subrows(start, rows), start);
             part
         })
         .collect();
@@ -137,6 +159,11 @@ impl SmallCholesky {
     pub fn solve(&self, b: MatRef<'_, f64>) -> Mat<f64> {
         use faer::prelude::Solve;
         self.0.solve(b)
+    }
+
+    /// L.
+    pub fn lower(&self) -> MatRef<'_, f64> {
+        self.0.L()
     }
 
     /// L⁻ᵀ: with A = BᵀMB, the columns of B·L⁻ᵀ are M-orthonormal.

@@ -153,8 +153,9 @@ pub(crate) fn measure(
 
     let rigid = rigid::rigid_modes(model, mass)?;
     let problem = ShiftInvert { factor: &factor, sigma, mass, rigid: rigid.as_ref() };
-    let (modes, linear) =
+    let (modes, audited) =
         timed(repeat, || lanczos::lowest_modes(&problem, N_MODES, 0, &Uncontrolled))?;
+    let linear = audited.modes;
     let spectrum = SpectrumErrors::of(&linear, &problem, stiffness);
     checks.push(Check::at_most(
         "residual ‖K_σ⁻¹Mφ − θφ‖_M / θ of the modes",

@@ -89,7 +89,7 @@ fn bench(criterion: &mut Criterion, body: &Body) -> Result<(), Failure> {
         b.iter(|| lanczos::lowest_modes(&problem, params.n_modes, 10, &Uncontrolled));
     });
 
-    let modes = lanczos::lowest_modes(&problem, params.n_modes, 0, &Uncontrolled)?;
+    let modes = lanczos::lowest_modes(&problem, params.n_modes, 0, &Uncontrolled)?.modes;
     let shapes = modes.shapes.subcols(0, params.n_derivative_modes.min(modes.eigenvalues.len()));
     group.bench_function("derivative right-hand sides", |b| {
         b.iter(|| derivatives::right_hand_sides(&model, shapes, &Uncontrolled));

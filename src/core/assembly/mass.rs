@@ -26,7 +26,14 @@ impl Mass {
     /// `M·X`, X being n×k.
     pub fn multiply(&self, x: MatRef<'_, f64>) -> Mat<f64> {
         let mut y = Mat::zeros(x.nrows(), x.ncols());
-        linalg::for_each_column(&mut y, |j, y| {
+        self.multiply_into(&mut y, x);
+        y
+    }
+
+    /// `Y ← M·X`, both being n×k.
+    pub fn multiply_into(&self, y: &mut Mat<f64>, x: MatRef<'_, f64>) {
+        assert_eq!((y.nrows(), y.ncols()), (x.nrows(), x.ncols()));
+        linalg::for_each_column(y, |j, y| {
             for (y, x) in y.iter_mut().zip(x.col(j).iter()) {
                 *y = *x;
             }
@@ -42,7 +49,6 @@ impl Mass {
                 }
             }
         });
-        y
     }
 
     /// Entry of M between two free vertices that a tet couples (0 otherwise, or off the diagonal
@@ -65,7 +71,10 @@ impl Mass {
 
     /// `XᵀMY`.
     pub fn inner(&self, x: MatRef<'_, f64>, y: MatRef<'_, f64>) -> Mat<f64> {
-        linalg::gram(x, self.multiply(y).as_ref())
+        match self {
+            Mass::Lumped(masses) => linalg::weighted_gram(x, |row| masses[row / 3], y),
+            Mass::Consistent(_) => linalg::gram(x, self.multiply(y).as_ref()),
+        }
     }
 
     /// M-orthonormal columns with the span of X, twice orthogonalized; directions that are

@@ -143,7 +143,9 @@ impl Artifacts {
         self.modes.eigenvalues.iter().map(hz).collect()
     }
     /// For each mode its relative residual in the norm of the flexibility
-    /// ([`crate::modes::relative_residuals`]): its eigenvalue is wrong by about the square of it.
+    /// ([`crate::modes::relative_residuals`]), or the larger one that the eigensolver knows
+    /// ([`crate::modes::lanczos::AuditedModes::residuals`]): its eigenvalue is wrong by about the
+    /// square of it.
     pub fn residuals(&self) -> &[f64] {
         &self.residuals
     }

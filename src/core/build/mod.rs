@@ -77,7 +77,7 @@ pub fn build(
     let rigid = rigid::rigid_modes(&model, &mass)?;
     clock.finish(Stage::Assembly)?;
 
-    let Spectrum { factor, sigma, modes } =
+    let Spectrum { factor, sigma, modes, mut residuals } =
         lowest_spectrum(&model, &mass, &stiffness, rigid.as_ref(), params.n_modes, &mut clock)?;
     if modes.eigenvalues.len() < params.n_modes {
         warnings.push(format!(
@@ -93,8 +93,8 @@ pub fn build(
     }
 
     let kept = modes.lowest(params.n_modes);
+    residuals.truncate(params.n_modes);
     let stitched = StitchedStiffness::new(&model, &stiffness, &factor, &[], &none)?;
-    let residuals = audit(&stitched, &mass, &kept, sigma);
     let body =
         Body { model: &model, mass: &mass, stitched: &stitched, sigma, rigid: rigid.as_ref() };
     let New { set, loads, flexibility } = new_derivatives(
@@ -176,12 +176,12 @@ fn from_scratch(
     let rigid = rigid_left(&a, prepared.rigid.as_ref())?;
     clock.finish(Stage::Assembly)?;
 
-    let Spectrum { factor, sigma, modes } =
+    let Spectrum { factor, sigma, modes, mut residuals } =
         lowest_spectrum(model, mass, &stiffness, rigid.as_ref(), params.n_modes, clock)?;
     let kept = modes.lowest(params.n_modes);
+    residuals.truncate(params.n_modes);
     let none = FlexibilityColumns::new();
     let stitched = StitchedStiffness::new(model, &stiffness, &factor, &[], &none)?;
-    let residuals = audit(&stitched, mass, &kept, sigma);
     let body = Body { model, mass, stitched: &stitched, sigma, rigid: rigid.as_ref() };
     let New { set, .. } =
         new_derivatives(&body, &kept, Some(&modes), params.n_derivative_modes, 0.0, clock.control)?;

@@ -7,8 +7,7 @@ use crate::assembly::mass::Mass;
 use crate::assembly::sparse::BlockMatrix;
 use crate::control::Stage;
 use crate::factorization::{SparseCholesky, SymbolicCholesky, shifted};
-use crate::linalg::{self, DenseError};
-use crate::modes::lanczos::{self, ShiftInvert};
+use crate::modes::lanczos::{self, AuditedModes, ShiftInvert};
 use crate::modes::{LinearModes, shift};
 use faer::MatRef;
 use std::sync::Arc;
@@ -21,7 +20,10 @@ const GUARD_MODES: usize = 10;
 pub(super) struct Spectrum {
     pub(super) factor: SparseCholesky,
     pub(super) sigma: f64,
+    /// Guards included, ΦᵀKΦ = Λ.
     pub(super) modes: LinearModes,
+    /// Of `modes` ([`AuditedModes::residuals`]).
+    pub(super) residuals: Vec<f64>,
 }
 
 /// Factorizes and finds the lowest elastic modes. A body without rigid motions needs no shift; for
@@ -54,8 +56,8 @@ pub(super) fn lowest_spectrum(
     let mut factor = factorize(sigma)?;
     clock.finish(Stage::Factorization)?;
     let problem = ShiftInvert { factor: &factor, sigma, mass, rigid };
-    let modes = lanczos::lowest_modes(&problem, n_modes, GUARD_MODES, clock.control)?;
-    let modes = ritz(modes, stiffness)?;
+    let AuditedModes { modes, residuals } =
+        lanczos::lowest_modes(&problem, n_modes, GUARD_MODES, clock.control)?;
     if modes.eigenvalues.iter().any(|lambda| !lambda.is_finite()) {
         return Err(BuildError::NonFinite { what: "the eigensolver" });
     }
@@ -68,16 +70,7 @@ pub(super) fn lowest_spectrum(
             clock.finish(Stage::Factorization)?;
         }
     }
-    Ok(Spectrum { factor, sigma, modes })
-}
-
-/// Turns the modes within their span so that ΦᵀKΦ = Λ to rounding, guards included: Lanczos makes
-/// ΦᵀMK_σ⁻¹MΦ diagonal, which differs where a mode has not converged.
-fn ritz(modes: LinearModes, stiffness: &BlockMatrix) -> Result<LinearModes, DenseError> {
-    let product = stiffness.multiply(modes.shapes.as_ref());
-    let projected = linalg::gram(modes.shapes.as_ref(), product.as_ref());
-    let (eigenvalues, turn) = linalg::symmetric_eigen(projected.as_ref())?;
-    Ok(LinearModes { shapes: linalg::product(modes.shapes.as_ref(), turn.as_ref()), eigenvalues })
+    Ok(Spectrum { factor, sigma, modes, residuals })
 }
 
 /// tr(K)/tr(M): the mean eigenvalue, far above the lowest.

@@ -4,6 +4,7 @@
 mod bodies;
 mod full_model;
 mod generations;
+mod lanczos;
 mod modes;
 mod newmark;
 mod reduced;
