@@ -4,6 +4,7 @@
 //! ascending order, vertex-major (dof = 3·vertex + axis). Displacements in m, forces in N,
 //! energies in J.
 
+mod kernels;
 pub mod mass;
 pub mod sparse;
 pub mod tiles;
