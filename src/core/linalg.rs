@@ -168,15 +168,15 @@ impl SmallCholesky {
 
     /// L⁻ᵀ: with A = BᵀMB, the columns of B·L⁻ᵀ are M-orthonormal.
     pub fn whitening(&self) -> Mat<f64> {
-        let k = self.0.L().ncols();
-        let mut inverse = Mat::<f64>::identity(k, k);
-        faer::linalg::triangular_solve::solve_lower_triangular_in_place(
-            self.0.L(),
-            inverse.as_mut(),
-            Par::Seq,
-        );
-        inverse.transpose().to_owned()
+        lower_inverse(self.0.L()).transpose().to_owned()
     }
+}
+
+/// L⁻¹ of a lower triangular matrix.
+pub fn lower_inverse(l: MatRef<'_, f64>) -> Mat<f64> {
+    let mut inverse = Mat::<f64>::identity(l.nrows(), l.nrows());
+    faer::linalg::triangular_solve::solve_lower_triangular_in_place(l, inverse.as_mut(), Par::Seq);
+    inverse
 }
 
 /// Coefficients that make a set of vectors orthonormal, from their Gram matrix (k×k): returns C

@@ -12,7 +12,9 @@ use std::sync::Arc;
 use std::sync::mpsc;
 use std::task::{Context, Waker};
 use std::time::Duration;
-use sutura_core::build::{BuildParams, CubatureParams, MassKind, Method, RayleighDamping};
+use sutura_core::build::{
+    BuildParams, CubatureParams, MassKind, Method, RayleighDamping, Selection,
+};
 use sutura_core::edit::{Edit, EditError};
 use sutura_core::material::Material;
 use sutura_core::mesh::TetMesh;
@@ -100,6 +102,7 @@ fn params() -> BuildParams {
             n_training_poses: 10,
             tolerance: 0.05,
             seed: 1,
+            selection: Selection::default(),
         }),
         damping: RayleighDamping { mass_per_s: 0.5, stiffness_s: 1e-3 },
         seams: Vec::new(),

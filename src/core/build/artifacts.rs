@@ -38,7 +38,8 @@ pub struct CubatureReport {
     pub n_points: usize,
     /// Where the rule came from.
     pub source: CubatureSource,
-    /// Relative reduced-force error on poses not used for fitting (root mean square over poses).
+    /// Relative reduced-force error on poses not used for fitting, in the energy norm
+    /// ([`crate::cubature::EnergyNorm`]; root mean square over poses).
     pub validation_error: f64,
 }
 

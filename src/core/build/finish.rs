@@ -4,10 +4,11 @@ use super::StageClock;
 use super::artifacts::{Artifacts, CubatureReport, CubatureSource, Prepared};
 use super::params::{BuildError, CubatureParams};
 use crate::basis::{WeightedDerivatives, mass_pca};
-use crate::control::{Control, Stage};
-use crate::cubature::poses::Shapes;
-use crate::cubature::{self, Rule, Samples};
+use crate::control::{self, Control, Stage};
+use crate::cubature::poses::{PoseSource, Shapes};
+use crate::cubature::{self, EnergyNorm, Rule, Samples, Training};
 use crate::edit::StitchSet;
+use crate::linalg;
 use crate::modes::LinearModes;
 use crate::modes::stitched::{FlexibilityColumns, StitchMatrix};
 use crate::reduced::ReducedModel;
@@ -98,6 +99,8 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
     }
     clock.finish(Stage::Basis)?;
 
+    let stretch = StitchMatrix::new(&prepared.model, draft.stitches.as_slice())
+        .transpose_times(basis.as_ref());
     let (rule, cubature, trained_error) = match &params.cubature {
         None => (Rule::exact(prepared.model.corners().len()), None, 0.0),
         Some(cubature) => {
@@ -107,7 +110,13 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
                 pairs: &draft.derivatives[0].pairs,
                 diagonal_m: prepared.model.mesh().diagonal(),
             };
-            let fit = Fit { prepared: &prepared, basis: basis.as_ref(), shapes, params: cubature };
+            let fit = Fit {
+                prepared: &prepared,
+                basis: basis.as_ref(),
+                stretch: stretch.as_ref(),
+                shapes,
+                params: cubature,
+            };
             let (rule, report, trained_error) = fit.rule(draft.reuse.take(), clock.control)?;
             if report.validation_error > cubature.tolerance {
                 draft.warnings.push(format!(
@@ -121,12 +130,11 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
     };
     clock.finish(Stage::Cubature)?;
 
-    let a = StitchMatrix::new(&prepared.model, draft.stitches.as_slice());
     let model = ReducedModel::new(
         &prepared.model,
         &rule,
         basis.as_ref(),
-        a.transpose_times(basis.as_ref()).as_ref(),
+        stretch.as_ref(),
         params.damping,
         draft.n_rigid_modes,
     );
@@ -152,6 +160,8 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
 struct Fit<'a> {
     prepared: &'a Prepared,
     basis: MatRef<'a, f64>,
+    /// AᵀU (3s×r).
+    stretch: MatRef<'a, f64>,
     shapes: Shapes<'a>,
     params: &'a CubatureParams,
 }
@@ -164,12 +174,17 @@ impl Fit<'_> {
         reuse: Option<(Rule, f64)>,
         control: &dyn Control,
     ) -> Result<(Rule, CubatureReport, f64), BuildError> {
-        let CubatureParams { n_points, n_training_poses, tolerance, seed } = *self.params;
-        let (model, basis) = (&self.prepared.model, self.basis);
-        let weighted = self.prepared.mass.multiply(basis);
+        let CubatureParams { n_points, n_training_poses, tolerance, seed, selection } =
+            *self.params;
+        let Prepared { model, mass, stiffness, .. } = self.prepared;
+        let mut reduced_stiffness =
+            linalg::gram(self.basis, stiffness.multiply(self.basis).as_ref());
+        reduced_stiffness += linalg::gram(self.stretch, self.stretch);
+        let norm = EnergyNorm::new(reduced_stiffness.as_ref())?;
+        let poses = PoseSource::new(&self.shapes, self.basis, mass.multiply(self.basis).as_ref());
+        control::check(control)?;
         let samples = |count: usize, seed: u64| {
-            let poses = self.shapes.random_poses(count, seed);
-            Samples::new(model, basis, weighted.as_ref(), poses.as_ref(), control)
+            Samples::new(model, self.basis, &norm, poses.random_poses(count, seed), control)
         };
         let n_validation =
             ((VALIDATION_SHARE * n_training_poses as f64) as usize).max(LEAST_VALIDATION_POSES);
@@ -177,7 +192,7 @@ impl Fit<'_> {
         let report = |rule: &Rule, source| CubatureReport {
             n_points: rule.tets.len(),
             source,
-            validation_error: validation.error(model, basis, rule),
+            validation_error: validation.error(rule),
         };
         let mut source = CubatureSource::Trained;
         if let Some((old, trained_error)) = reuse {
@@ -187,7 +202,7 @@ impl Fit<'_> {
                 return Ok((old, reused, trained_error));
             }
             let n_poses = (REFITTING_SHARE * n_training_poses as f64).ceil() as usize;
-            let refit = cubature::refit(model, basis, &samples(n_poses, seed)?, &old, control)?;
+            let refit = cubature::refit(&samples(n_poses, seed)?, &old, control)?;
             let refitted = report(&refit, CubatureSource::Refitted);
             let (rule, best) = if refitted.validation_error < reused.validation_error {
                 (refit, refitted)
@@ -201,7 +216,8 @@ impl Fit<'_> {
         }
         control.progress(Stage::Cubature, 0.1);
         let training = samples(n_training_poses, seed)?;
-        let rule = cubature::train(model, basis, &training, n_points, tolerance, seed, control)?;
+        let wanted = Training { selection, n_points, tolerance, seed };
+        let rule = cubature::train(&training, &wanted, control)?;
         let report = report(&rule, source);
         let trained_error = report.validation_error;
         Ok((rule, report, trained_error))

@@ -3,6 +3,7 @@
 use crate::assembly::FullModel;
 use crate::assembly::mass::MassKind;
 use crate::control::Cancelled;
+use crate::cubature::{Selection, TrainingError};
 use crate::edit::{self, EditError};
 use crate::factorization::FactorizationError;
 use crate::linalg::DenseError;
@@ -18,10 +19,13 @@ pub struct CubatureParams {
     pub n_points: usize,
     /// Poses to fit.
     pub n_training_poses: usize,
-    /// Relative reduced-force error at which training stops and above which a reused rule is refitted.
+    /// Relative reduced-force error (energy norm) at which training stops and above which a reused
+    /// rule is refitted.
     pub tolerance: f64,
     /// Seed of the poses and of the candidate subset.
     pub seed: u64,
+    /// How points are chosen.
+    pub selection: Selection,
 }
 
 /// Everything that [`build`](super::build) needs beside the mesh. There is no default on purpose: the caller
@@ -125,6 +129,15 @@ impl From<ModesError> for BuildError {
         match error {
             ModesError::Cancelled(cancelled) => BuildError::Cancelled(cancelled),
             other => BuildError::NotConverged { what: "the modes", detail: other.to_string() },
+        }
+    }
+}
+
+impl From<TrainingError> for BuildError {
+    fn from(error: TrainingError) -> BuildError {
+        match error {
+            TrainingError::Cancelled(cancelled) => BuildError::Cancelled(cancelled),
+            TrainingError::Dense(dense) => BuildError::from(dense),
         }
     }
 }

@@ -3,15 +3,20 @@
 use crate::bodies::{STITCH_N_M, bar, by, by_rows, column, params, stitch, vector};
 use faer::Mat;
 use std::sync::Arc;
-use sutura_core::build::{self, Artifacts, BuildParams, CubatureParams, Method};
+use sutura_core::build::{self, Artifacts, BuildParams, CubatureParams, Method, Selection};
 use sutura_core::control::Uncontrolled;
 use sutura_core::linalg;
 use sutura_core::testing::Cut;
 
 fn two_generations(cut: Cut, basis_size: usize, method: Method) -> [Artifacts; 2] {
     let bar = bar(cut);
-    let cubature =
-        Some(CubatureParams { n_points: 60, n_training_poses: 20, tolerance: 0.05, seed: 3 });
+    let cubature = Some(CubatureParams {
+        n_points: 60,
+        n_training_poses: 20,
+        tolerance: 0.05,
+        seed: 3,
+        selection: Selection::GreedyNnls,
+    });
     let params = BuildParams { basis_size, cubature, ..params(&bar, 10) };
     let before = build::build(bar.mesh.clone(), &params, &Uncontrolled).unwrap();
     let edit = stitch(&bar.pairs, STITCH_N_M);

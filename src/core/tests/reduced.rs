@@ -3,7 +3,9 @@
 use crate::bodies::{STITCH_N_M, bar, by, by_rows, column, dot, norm, params, stitch, vector};
 use faer::Mat;
 use nalgebra::Matrix3;
-use sutura_core::build::{self, Artifacts, BuildParams, CubatureParams, CubatureSource, Method};
+use sutura_core::build::{
+    self, Artifacts, BuildParams, CubatureParams, CubatureSource, Method, Selection,
+};
 use sutura_core::control::Uncontrolled;
 use sutura_core::linalg;
 use sutura_core::material::stvk;
@@ -11,8 +13,13 @@ use sutura_core::reduced::Evaluation;
 use sutura_core::testing::differences::slope;
 use sutura_core::testing::{BarMesh, Cut};
 
-const CUBATURE: CubatureParams =
-    CubatureParams { n_points: 150, n_training_poses: 40, tolerance: 0.02, seed: 7 };
+const CUBATURE: CubatureParams = CubatureParams {
+    n_points: 150,
+    n_training_poses: 40,
+    tolerance: 0.02,
+    seed: 7,
+    selection: Selection::GreedyNnls,
+};
 
 fn stitched(bar: &BarMesh, cubature: Option<CubatureParams>) -> [Artifacts; 2] {
     let params = BuildParams { basis_size: 16, cubature, ..params(bar, 10) };

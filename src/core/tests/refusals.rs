@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 use sutura_core::build::{
     self, Artifacts, BuildError, BuildParams, CubatureParams, MassKind, Method, RayleighDamping,
-    RebuildParams,
+    RebuildParams, Selection,
 };
 use sutura_core::control::{Control, Stage, Uncontrolled};
 use sutura_core::edit::{Edit, EditError};
@@ -20,8 +20,13 @@ fn refused(bar: &BarMesh, change: impl Fn(&mut BuildParams)) -> BuildError {
     build::build(bar.mesh.clone(), &params, &Uncontrolled).expect_err("refused")
 }
 
-const CUBATURE: CubatureParams =
-    CubatureParams { n_points: 20, n_training_poses: 10, tolerance: 0.05, seed: 1 };
+const CUBATURE: CubatureParams = CubatureParams {
+    n_points: 20,
+    n_training_poses: 10,
+    tolerance: 0.05,
+    seed: 1,
+    selection: Selection::GreedyNnls,
+};
 
 #[test]
 fn parameters_of_a_build_are_checked() {

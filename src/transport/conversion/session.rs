@@ -7,7 +7,7 @@ use crate::problem::{self, Kind, Problem};
 use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use sutura_core::build::{BuildParams, CubatureParams, MassKind, RayleighDamping};
+use sutura_core::build::{BuildParams, CubatureParams, MassKind, RayleighDamping, Selection};
 use sutura_core::edit::{Edit, StitchSet};
 use sutura_core::material::Material;
 use sutura_core::mesh::{MeshFile, MeshFormat, MeshLimits, TetMesh};
@@ -126,6 +126,7 @@ fn build_params(
             n_training_poses: cubature.n_training_poses,
             tolerance: cubature.tolerance,
             seed: cubature.seed,
+            selection: Selection::default(),
         }),
         damping: RayleighDamping {
             mass_per_s: config.damping.rayleigh_mass_per_s,
