@@ -3,7 +3,7 @@
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use sutura_core::build::{BuildParams, CubatureParams, MassKind, RayleighDamping};
+use sutura_core::build::{BuildParams, CubatureParams, MassKind, RayleighDamping, Selection};
 use sutura_core::edit::Edit;
 use sutura_core::material::Material;
 use sutura_core::mesh::{self, MeshFormat, MeshLimits, TetMesh};
@@ -81,6 +81,7 @@ impl Body {
                 n_training_poses: 100,
                 tolerance: 0.05,
                 seed: 1,
+                selection: Selection::default(),
             }),
             damping: RayleighDamping { mass_per_s: 0.0, stiffness_s: 0.0 },
             seams: seams.to_vec(),

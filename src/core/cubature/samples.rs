@@ -10,6 +10,9 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
+/// Poses whose displacements and forces over the whole body are held at a time.
+const POSES_AT_A_TIME: usize = 32;
+
 /// Tets whose contributions one task sums.
 const TETS_PER_TASK: usize = 16;
 
@@ -57,15 +60,14 @@ impl<'a> Samples<'a> {
         q: Mat<f64>,
         control: &dyn Control,
     ) -> Result<Samples<'a>, Cancelled> {
-        let blocks: Vec<Mat<f64>> = pose_blocks(q.ncols())
-            .into_par_iter()
-            .map(|[first, count]| {
-                control::check(control)?;
-                let block = PoseBlock::new(basis, q.subcols(first, count));
-                Ok(block.reduced_forces(model, basis).subcols(0, count).to_owned())
-            })
-            .collect::<Result<_, Cancelled>>()?;
-        let force = linalg::concatenate(&blocks.iter().map(Mat::as_ref).collect::<Vec<_>>());
+        let mut forces = Vec::new();
+        for first in (0..q.ncols()).step_by(POSES_AT_A_TIME) {
+            let some = q.subcols(first, POSES_AT_A_TIME.min(q.ncols() - first));
+            let u = linalg::product(basis, some);
+            control::check(control)?;
+            forces.push(linalg::gram(basis, model.internal_forces(u.as_ref()).as_ref()));
+        }
+        let force = linalg::concatenate(&forces.iter().map(Mat::as_ref).collect::<Vec<_>>());
         let mut target = linalg::small_product(norm.coefficients.transpose(), force.as_ref());
         let mut scale = Vec::with_capacity(q.ncols());
         for pose in 0..q.ncols() {
