@@ -3,8 +3,7 @@
 //! then it is the greedy selection of An et al. (2008).
 //!
 //! A column entering or leaving the support extends or shrinks one Cholesky factor, and columns of
-//! AᵀA are made when they are first needed, sixteen promising ones at a time: of 1440 candidates for
-//! 120 points about a fourth is ever needed.
+//! AᵀA are made when they are first needed, sixteen promising ones at a time.
 
 use crate::control::{self, Cancelled, Control};
 use crate::linalg;

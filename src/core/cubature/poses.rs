@@ -19,7 +19,8 @@ use rand_distr::{Distribution, StandardNormal};
 const AMPLITUDE: [f64; 2] = [0.02, 0.12];
 
 /// Amplitudes fall like (λ₁/λ_j)^p with p uniform between these: about equal forces on every mode.
-/// From equal energies (½) on, high modes dominate: static displacements come out up to twice worse.
+/// From equal energies (½) on, high modes dominate: static displacements come out up to 2.6 times
+/// worse.
 const DECAY: [f64; 2] = [0.75, 1.25];
 
 /// Vertices at which displacements are compared with [`AMPLITUDE`], evenly spread over the numbering.
