@@ -124,23 +124,26 @@ class Model:
         self.operator  # noqa: B018 — makes both
         return self._adjoint
 
-    def derivative_loads(self, shapes):
-        """−(H:φ_i)φ_j of every pair i ≤ j of the columns, St. Venant–Kirchhoff at rest."""
+    def derivative_loads(self, shapes, pool):
+        """−(H:φ_i)φ_j of every pair i ≤ j of the columns, St. Venant–Kirchhoff at rest. Pairs run on the
+        threads of `pool`: NumPy and SciPy let go of the interpreter inside large arrays."""
         m, k = len(self.volume), shapes.shape[1]
         lam, mu = self.lame
         d = (self.operator @ shapes).reshape(3, 3, m, k)
         a = [np.ascontiguousarray(d[..., i]) for i in range(k)]
         s = [second_stress(0.5 * (g + g.transpose(1, 0, 2)), lam, mu) for g in a]
         pairs = [(i, j) for j in range(k) for i in range(j + 1)]
-        loads = np.empty((self.n, len(pairs)))
-        for column, (i, j) in enumerate(pairs):
+
+        def load(pair):
+            i, j = pair
             p = product(a[i], s[j])
             p += product(a[j], s[i])
             mixed = product(a[i].transpose(1, 0, 2), a[j])
             p += second_stress(0.5 * (mixed + mixed.transpose(1, 0, 2)), lam, mu)
             p *= -self.volume
-            loads[:, column] = self.adjoint @ p.ravel()
-        return loads, pairs
+            return self.adjoint @ p.ravel()
+
+        return np.stack(list(pool.map(load, pairs)), axis=1), pairs
 
     def stress(self, u):
         """First Piola–Kirchhoff stress at displacements u (n): (3, 3, m)."""

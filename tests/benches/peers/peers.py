@@ -203,7 +203,9 @@ def measure(body, arguments, program, threads, folder):
     result["session"] = None
     if body.name in arguments.sessions and n_rigid == 0:
         make = lambda upper: Pardiso(upper, *settings)
-        result["session"] = session.measure(body, make, lowest_modes, shifted, arguments.repeat)
+        result["session"] = session.measure(
+            body, make, lowest_modes, shifted, arguments.repeat, threads
+        )
     return result
 
 

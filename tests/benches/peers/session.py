@@ -6,6 +6,7 @@ forces of 100 poses (An et al. 2008, as non-negative least squares), their error
 """
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import scipy.linalg
@@ -16,11 +17,12 @@ N_MODES, N_DERIVATIVE_MODES, BASIS_SIZE = 30, 8, 60
 N_POINTS, N_CANDIDATES, N_POSES, N_HELD_OUT = 120, 1440, 100, 20
 
 
-def measure(body, make_solver, lowest_modes, shifted, repeat):
+def measure(body, make_solver, lowest_modes, shifted, repeat, threads):
     """Seconds of every repetition and the medians of the stages."""
     totals, stages = [], {}
     for _ in range(repeat):
-        found, error, n_points = build(body, make_solver, lowest_modes, shifted)
+        with ThreadPoolExecutor(threads) as pool:
+            found, error, n_points = build(body, make_solver, lowest_modes, shifted, pool)
         totals.append(sum(found.values()))
         for stage, seconds in found.items():
             stages.setdefault(stage, []).append(seconds)
@@ -32,7 +34,7 @@ def measure(body, make_solver, lowest_modes, shifted, repeat):
     }
 
 
-def build(body, make_solver, lowest_modes, shifted):
+def build(body, make_solver, lowest_modes, shifted, pool):
     """One build of a body that is held: seconds by stage, the cubature's error and its points."""
     clock = time.perf_counter
     stages, last = {}, clock()
@@ -49,13 +51,13 @@ def build(body, make_solver, lowest_modes, shifted):
     done("factorization")
     values, modes = lowest_modes(model, 0.0, solver, N_MODES)
     done("modes")
-    loads, pairs = model.derivative_loads(modes[:, :N_DERIVATIVE_MODES])
+    loads, pairs = model.derivative_loads(modes[:, :N_DERIVATIVE_MODES], pool)
     derivatives = solver.solve(np.asfortranarray(loads))
     solver.free()
     done("derivatives")
     basis = principal_components(model, values, modes, derivatives, pairs)
     done("basis")
-    error, n_points = cubature(model, body, basis, values, modes, derivatives, pairs)
+    error, n_points = cubature(model, body, basis, values, modes, derivatives, pairs, pool)
     done("cubature")
     return stages, error, n_points
 
@@ -87,13 +89,13 @@ def poses(body, values, modes, derivatives, pairs, count, seed):
     return u
 
 
-def cubature(model, body, basis, values, modes, derivatives, pairs):
+def cubature(model, body, basis, values, modes, derivatives, pairs, pool):
     """Trains a rule; its relative force error on held-out poses."""
     random = np.random.default_rng(2)
     m = len(model.volume)
     candidates = np.sort(random.choice(m, min(N_CANDIDATES, m), replace=False))
     samples = lambda count, seed: Samples(
-        model, basis, poses(body, values, modes, derivatives, pairs, count, seed)
+        model, basis, poses(body, values, modes, derivatives, pairs, count, seed), pool
     )
     training = samples(N_POSES, 3)
     columns = training.contributions(candidates)
@@ -109,10 +111,10 @@ def cubature(model, body, basis, values, modes, derivatives, pairs):
 class Samples:
     """Projected poses and their exact reduced forces, each scaled to length one."""
 
-    def __init__(self, model, basis, u):
+    def __init__(self, model, basis, u, pool):
         self.model, self.basis = model, basis
         self.u = basis @ (basis.T @ (model.mass[:, None] * u))
-        full = np.stack([model.internal_force(u) for u in self.u.T], axis=1)
+        full = np.stack(list(pool.map(model.internal_force, self.u.T)), axis=1)
         self.force = basis.T @ full
         self.scale = 1 / np.linalg.norm(self.force, axis=0)
 
