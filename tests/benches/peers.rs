@@ -203,7 +203,7 @@ fn kernel_ratios(body: &BodyResults, peer: &PeerBody, is_largest: bool) -> Vec<R
             32 => (peer.best(|s| median(&s.solve_32_s)), judged(Target::AtMost(1.2))),
             _ => continue,
         };
-        let work = format!("solve of {} columns", solve.columns);
+        let work = format!("solve, columns: {}", solve.columns);
         ratios.push(slower(&work, solve.times.median_s, theirs, target));
     }
     ratios.push(faster(

@@ -99,6 +99,8 @@ fn comparison(results: &Results) -> String {
     let mut table = Table::new("Targets", &head);
     for ratio in &results.ratios {
         let target = match ratio.target {
+            // Residuals need an exponent.
+            Target::AtMost(limit) if limit < 1e-3 => format!("≤ {limit:e}"),
             Target::AtMost(limit) => format!("≤ {limit}"),
             Target::AtLeast(limit) => format!("≥ {limit}"),
             Target::Within(limit) => format!("± {limit}"),
