@@ -16,6 +16,13 @@ use signals::Signals;
 use std::io::Write;
 use std::process::ExitCode;
 
+/// Builds and edits take and return hundreds of megabytes at a time: from the system's allocator
+/// each comes as fresh 4 KiB pages, and the faults cost as much as the factorization itself
+/// (stomach, 105 000 unknowns: 0.58 s of processor time against 0.36 s with this one, which keeps
+/// pages for a while and takes huge ones).
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// What the user gave cannot be used.
 const BAD_INPUT: u8 = 2;
 /// Anything else that went wrong.
