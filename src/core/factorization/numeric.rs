@@ -9,47 +9,27 @@ use super::front::{self, Threads};
 use super::symbolic::{Piece, SymbolicCholesky};
 use faer::{Accum, MatMut};
 use rayon::prelude::*;
+use std::sync::{Mutex, PoisonError};
 
 /// The values of the factor of a matrix whose `entries` are the blocks (each by rows) of the
 /// analysed pattern. The error is the row of the matrix with a non-positive pivot.
 pub(super) fn factorize(symbolic: &SymbolicCholesky, entries: &[f64]) -> Result<Vec<f64>, usize> {
     let mut values = vec![0.0; symbolic.n_values()];
-    let mut updates: Vec<Vec<f64>> = vec![Vec::new(); symbolic.supernodes().len()];
-    let (subtrees, above): (Vec<_>, Vec<_>) =
-        split_values(symbolic, &mut values).into_iter().partition(|(piece, _)| piece.is_subtree);
-
-    let roots: Vec<Result<(usize, Vec<f64>), usize>> = subtrees
-        .into_par_iter()
-        .with_max_len(1)
-        .map(|(piece, values)| {
-            let update = factorize_subtree(symbolic, entries, piece, values)?;
-            Ok((piece.supernodes.end - 1, update))
-        })
+    let roots: Vec<usize> = (0..symbolic.supernodes().len())
+        .filter(|&s| symbolic.supernodes()[s].parent.is_none())
         .collect();
-    for root in roots {
-        let (supernode, update) = root?;
-        updates[supernode] = update;
-    }
-    for (piece, panel) in above {
-        let supernode = piece.supernodes.start;
-        let depth = symbolic.width_and_depth(supernode).1;
-        let mut update = vec![0.0; depth * depth];
-        let mut front = Front::new(symbolic, supernode, panel, &mut update);
-        front.add_entries(entries);
-        for &child in symbolic.children(supernode) {
-            front.add_update(child as usize, &std::mem::take(&mut updates[child as usize]));
-        }
-        front.eliminate(Threads::All)?;
-        updates[supernode] = update;
-    }
+    let job = Job { symbolic, entries, panels: split_values(symbolic, &mut values) };
+    let done: Vec<Result<Vec<f64>, usize>> =
+        roots.into_par_iter().with_max_len(1).map(|root| job.eliminate(root)).collect();
+    done.into_iter().try_for_each(|update| update.map(drop))?;
     Ok(values)
 }
 
-/// The pieces with the values of their panels.
+/// The panels of each piece.
 fn split_values<'a>(
-    symbolic: &'a SymbolicCholesky,
+    symbolic: &SymbolicCholesky,
     values: &'a mut [f64],
-) -> Vec<(&'a Piece, &'a mut [f64])> {
+) -> Vec<Mutex<&'a mut [f64]>> {
     let mut rest = values;
     symbolic
         .pieces()
@@ -59,9 +39,48 @@ fn split_values<'a>(
             let count = supernodes.iter().map(|s| s.values.len()).sum();
             let (own, after) = std::mem::take(&mut rest).split_at_mut(count);
             rest = after;
-            (piece, own)
+            Mutex::new(own)
         })
         .collect()
+}
+
+struct Job<'a> {
+    symbolic: &'a SymbolicCholesky,
+    entries: &'a [f64],
+    /// The panels of each piece, until the task that fills them takes them.
+    panels: Vec<Mutex<&'a mut [f64]>>,
+}
+
+impl Job<'_> {
+    /// Eliminates a supernode after everything below it in the forest, branches side by side, and
+    /// returns its update matrix. Threads work depth first, so that few update matrices wait.
+    fn eliminate(&self, supernode: usize) -> Result<Vec<f64>, usize> {
+        let Job { symbolic, entries, panels } = self;
+        let index = symbolic.piece_of_root(supernode);
+        let piece = &symbolic.pieces()[index];
+        let panel = {
+            let mut slot = panels[index].lock().unwrap_or_else(PoisonError::into_inner);
+            std::mem::take(&mut *slot)
+        };
+        if piece.is_subtree {
+            return factorize_subtree(symbolic, entries, piece, panel);
+        }
+        let children = symbolic.children(supernode);
+        let waiting: Vec<Result<Vec<f64>, usize>> = children
+            .par_iter()
+            .with_max_len(1)
+            .map(|&child| self.eliminate(child as usize))
+            .collect();
+        let depth = symbolic.width_and_depth(supernode).1;
+        let mut update = vec![0.0; depth * depth];
+        let mut front = Front::new(symbolic, supernode, panel, &mut update);
+        front.add_entries(entries);
+        for (&child, waiting) in children.iter().zip(waiting) {
+            front.add_update(child as usize, &waiting?);
+        }
+        front.eliminate(Threads::All)?;
+        Ok(update)
+    }
 }
 
 /// Factorizes a whole subtree and returns the update matrix of its root. Update matrices in waiting

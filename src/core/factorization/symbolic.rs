@@ -22,6 +22,10 @@ const RELAXATION: &[(usize, f64)] = &[(4, 1.0), (16, 0.8), (48, 0.1), (usize::MA
 /// do not depend on the number of threads.
 const SHARE_OF_A_TASK: f64 = 1.0 / 16.0;
 
+/// Supernodes this far below a root begin a task whatever its size. Nested dissection leaves about
+/// a dozen levels above the tasks; a graph that it cannot dissect must not exhaust the stack.
+const MOST_LEVELS: usize = 64;
+
 /// Columns of the factor with (nearly) the same rows below them.
 #[derive(Debug)]
 pub(super) struct Supernode {
@@ -161,6 +165,10 @@ impl SymbolicCholesky {
     /// All supernodes in order, cut into pieces.
     pub(super) fn pieces(&self) -> &[Piece] {
         &self.pieces
+    }
+    /// The piece whose last supernode this is.
+    pub(super) fn piece_of_root(&self, supernode: usize) -> usize {
+        self.pieces.partition_point(|piece| piece.supernodes.end <= supernode)
     }
     /// Vertex positions of the columns of a piece.
     pub(super) fn columns_of(&self, piece: &Piece) -> Range<usize> {
@@ -318,12 +326,16 @@ fn pieces(supernodes: &[Supernode], size: usize) -> (Vec<Piece>, f64) {
             first[parent] = first[parent].min(first[s]);
         }
     }
-    let is_small = |s: usize| flops[s] <= SHARE_OF_A_TASK * total;
+    let mut level = vec![0; supernodes.len()];
+    for s in (0..supernodes.len()).rev() {
+        level[s] = supernodes[s].parent.map_or(0, |parent| level[parent] + 1);
+    }
+    let in_task = |s: usize| flops[s] <= SHARE_OF_A_TASK * total || level[s] >= MOST_LEVELS;
     let mut pieces = Vec::new();
     for (s, supernode) in supernodes.iter().enumerate() {
-        if !is_small(s) {
+        if !in_task(s) {
             pieces.push(Piece { supernodes: s..s + 1, is_subtree: false });
-        } else if !supernode.parent.is_some_and(is_small) {
+        } else if !supernode.parent.is_some_and(in_task) {
             pieces.push(Piece { supernodes: first[s]..s + 1, is_subtree: true });
         }
     }
