@@ -96,6 +96,7 @@ fn params() -> BuildParams {
         mass: MassKind::Lumped,
         n_modes: 6,
         basis_size: 12,
+        pca: Default::default(),
         n_derivative_modes: 3,
         cubature: Some(CubatureParams {
             n_points: 40,

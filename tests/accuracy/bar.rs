@@ -55,6 +55,7 @@ impl Case {
             mass: MassKind::Lumped,
             n_modes: 30,
             basis_size: 40,
+            pca: Default::default(),
             n_derivative_modes: 8,
             cubature: None,
             damping: RayleighDamping { mass_per_s: 0.0, stiffness_s: 0.0 },

@@ -3,7 +3,7 @@
 use faer::Mat;
 use sutura_core::assembly::FullModel;
 use sutura_core::assembly::mass::Mass;
-use sutura_core::basis::{WeightedDerivatives, mass_pca};
+use sutura_core::basis::{PcaMethod, WeightedDerivatives, mass_pca};
 use sutura_core::build::Artifacts;
 use sutura_core::control::Uncontrolled;
 use sutura_core::derivatives;
@@ -64,7 +64,7 @@ pub(crate) fn basis(
             eigenvalues: d.eigenvalues.clone(),
         })
         .collect();
-    mass_pca(mass, modes, &groups, size).unwrap().0
+    mass_pca(mass, modes, &groups, size, PcaMethod::default()).unwrap().0
 }
 
 fn stitched_factor(model: &FullModel, body: &Artifacts) -> SparseCholesky {

@@ -75,6 +75,7 @@ impl Body {
             mass: MassKind::Lumped,
             n_modes: 30,
             basis_size: 60,
+            pca: Default::default(),
             n_derivative_modes: 8,
             cubature: Some(CubatureParams {
                 n_points: 120,

@@ -14,7 +14,7 @@ use std::sync::Arc;
 use sutura_core::assembly::FullModel;
 use sutura_core::assembly::mass::{Mass, MassKind};
 use sutura_core::assembly::sparse::BlockMatrix;
-use sutura_core::basis::{WeightedDerivatives, mass_pca};
+use sutura_core::basis::{PcaMethod, WeightedDerivatives, mass_pca};
 use sutura_core::build::{self, Artifacts, BuildParams};
 use sutura_core::control::Uncontrolled;
 use sutura_core::derivatives;
@@ -330,7 +330,7 @@ fn principal_components(
     let (ours, (basis, _)) = timed(repeat, || {
         let group =
             WeightedDerivatives { shapes: derived.as_ref(), eigenvalues: eigenvalues.clone() };
-        mass_pca(mass, &kept, &[group], BASIS_SIZE)
+        mass_pca(mass, &kept, &[group], BASIS_SIZE, PcaMethod::default())
     })?;
 
     let first = kept.eigenvalues[0];

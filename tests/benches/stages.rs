@@ -105,7 +105,7 @@ fn bench(criterion: &mut Criterion, body: &Body) -> Result<(), Failure> {
         b.iter(|| {
             let eigenvalues = eigenvalues.clone();
             let group = WeightedDerivatives { shapes: derived.as_ref(), eigenvalues };
-            mass_pca(&mass, &modes, &[group], params.basis_size)
+            mass_pca(&mass, &modes, &[group], params.basis_size, params.pca)
         });
     });
 

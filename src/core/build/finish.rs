@@ -85,7 +85,7 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
             eigenvalues: set.eigenvalues.clone(),
         })
         .collect();
-    let (basis, _) = mass_pca(&prepared.mass, &weighed, &groups, params.basis_size)?;
+    let (basis, _) = mass_pca(&prepared.mass, &weighed, &groups, params.basis_size, params.pca)?;
     if basis.ncols() < params.basis_size {
         draft.warnings.push(format!(
             "the basis has {} columns instead of {}: modes and derivatives span no more",

@@ -6,6 +6,7 @@ mod params;
 mod spectrum;
 
 pub use crate::assembly::mass::MassKind;
+pub use crate::basis::PcaMethod;
 pub use crate::cubature::Selection;
 pub use crate::reduced::RayleighDamping;
 pub use artifacts::{Artifacts, BasisDelta, CubatureReport, CubatureSource};

@@ -2,6 +2,7 @@
 
 use crate::assembly::FullModel;
 use crate::assembly::mass::MassKind;
+use crate::basis::PcaMethod;
 use crate::control::Cancelled;
 use crate::cubature::{Selection, TrainingError};
 use crate::edit::{self, EditError};
@@ -42,6 +43,8 @@ pub struct BuildParams {
     pub n_modes: usize,
     /// Columns of the basis.
     pub basis_size: usize,
+    /// How its columns are found.
+    pub pca: PcaMethod,
     /// The lowest so many modes contribute all their pairwise modal derivatives.
     pub n_derivative_modes: usize,
     /// Cubature training; `None` evaluates every tet.

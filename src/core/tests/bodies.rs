@@ -30,6 +30,7 @@ pub(crate) fn params(bar: &BarMesh, n_modes: usize) -> BuildParams {
         mass: MassKind::Lumped,
         n_modes,
         basis_size: n_modes,
+        pca: Default::default(),
         n_derivative_modes: 3.min(n_modes),
         cubature: None,
         damping: RayleighDamping { mass_per_s: 0.0, stiffness_s: 0.0 },

@@ -58,6 +58,7 @@ impl Case {
             mass: MassKind::Lumped,
             n_modes: 30,
             basis_size: 10,
+            pca: Default::default(),
             n_derivative_modes: 0,
             cubature: None,
             damping: RayleighDamping { mass_per_s: 0.0, stiffness_s: 0.0 },

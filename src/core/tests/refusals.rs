@@ -277,6 +277,7 @@ fn more_modes_than_degrees_of_freedom_give_as_many_as_there_are() {
                 mass,
                 n_modes: 50,
                 basis_size: 50,
+                pca: Default::default(),
                 n_derivative_modes: 50,
                 cubature: Some(CUBATURE),
                 damping: RayleighDamping { mass_per_s: 0.0, stiffness_s: 0.0 },

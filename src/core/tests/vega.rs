@@ -22,6 +22,7 @@ fn params(materials: Vec<Material>, fixed_vertices: Vec<u32>, n_modes: usize) ->
         mass: MassKind::Consistent,
         n_modes,
         basis_size: n_modes,
+        pca: Default::default(),
         n_derivative_modes: 0,
         cubature: None,
         damping: RayleighDamping { mass_per_s: 0.0, stiffness_s: 0.0 },

@@ -120,6 +120,7 @@ fn build_params(
         },
         n_modes: config.n_modes,
         basis_size: config.basis.size,
+        pca: Default::default(),
         n_derivative_modes: config.basis.n_derivative_modes,
         cubature: config.cubature.as_ref().map(|cubature| CubatureParams {
             n_points: cubature.n_points,
