@@ -23,6 +23,10 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+/// The daemon's.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// Measures the numerical core and writes paper_table.json, paper_table.md and pictures.
 #[derive(Parser)]
 struct Arguments {

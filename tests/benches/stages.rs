@@ -23,6 +23,10 @@ use sutura_core::factorization::{SparseCholesky, SymbolicCholesky, shifted};
 use sutura_core::modes::lanczos::{self, ShiftInvert};
 use sutura_core::modes::rigid;
 
+/// The daemon's.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 fn main() -> ExitCode {
     let mut criterion = Criterion::default().configure_from_args();
     match body().and_then(|body| bench(&mut criterion, &body)) {
