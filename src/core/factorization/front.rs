@@ -1,17 +1,16 @@
-//! Dense kernels of one front: partial Cholesky factorization and triangular solves of its panel.
+//! Dense kernels of one front: its partial Cholesky factorization.
 //!
 //! Work is cut into chunks of fixed size whether or not threads share it, so that results do not
 //! depend on the number of threads.
 
+use super::panel::Threads;
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{
     LltError, LltRegularization, cholesky_in_place, cholesky_in_place_scratch,
 };
 use faer::linalg::matmul::matmul;
 use faer::linalg::matmul::triangular::{self, BlockStructure};
-use faer::linalg::triangular_solve::{
-    solve_lower_triangular_in_place, solve_upper_triangular_in_place,
-};
+use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Accum, MatMut, MatRef, Par, Spec};
 use rayon::prelude::*;
 
@@ -21,25 +20,18 @@ const BLOCK: usize = 128;
 /// Rows or columns of one chunk of work.
 const CHUNK: usize = 192;
 
-/// Whether the chunks of a front are shared between threads.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Threads {
-    /// This one; others are busy with subtrees of their own.
-    One,
-    /// All.
-    All,
-}
-
-impl Threads {
-    fn for_each<I: IndexedParallelIterator>(self, items: I, f: impl Fn(I::Item) + Sync + Send)
-    where
-        I::Item: Send,
-    {
-        match self {
-            // One piece is one sequential loop.
-            Threads::One => items.with_min_len(usize::MAX).for_each(f),
-            Threads::All => items.for_each(f),
-        }
+/// Runs `f` on every item, on this thread or on all.
+fn for_each<I: IndexedParallelIterator>(
+    threads: Threads,
+    items: I,
+    f: impl Fn(I::Item) + Sync + Send,
+) where
+    I::Item: Send,
+{
+    match threads {
+        // One piece is one sequential loop.
+        Threads::One => items.with_min_len(usize::MAX).for_each(f),
+        Threads::All => items.for_each(f),
     }
 }
 
@@ -64,7 +56,7 @@ pub(super) fn factor_panel(panel: MatMut<'_, f64>, threads: Threads) -> Result<(
         .map_err(|LltError::NonPositivePivot { index }| first + index.min(size - 1))?;
         let diagonal = diagonal.as_ref();
         // X·Lᵀ = B, as L·Xᵀ = Bᵀ.
-        threads.for_each(below.as_mut().par_row_chunks_mut(CHUNK), |below| {
+        for_each(threads, below.as_mut().par_row_chunks_mut(CHUNK), |below| {
             solve_lower_triangular_in_place(diagonal, below.transpose_mut(), Par::Seq);
         });
         let mut right = right.split_at_row_mut(size).1;
@@ -85,7 +77,7 @@ pub(super) fn subtract_product(
     if c.ncols() == 0 || l.ncols() == 0 {
         return;
     }
-    threads.for_each(c.par_col_chunks_mut(CHUNK).enumerate(), |(chunk, c)| {
+    for_each(threads, c.par_col_chunks_mut(CHUNK).enumerate(), |(chunk, c)| {
         let (first, width) = (chunk * CHUNK, c.ncols());
         let (diagonal, below) = c.split_at_row_mut(first).1.split_at_row_mut(width);
         let (l, l_below) = l.split_at_row(first).1.split_at_row(width);
@@ -102,58 +94,4 @@ pub(super) fn subtract_product(
         );
         matmul(below, accum, l_below, l.transpose(), -1.0, Par::Seq);
     });
-}
-
-/// X ← L₁⁻¹X and B ← L₂X for a panel [L₁; L₂] with as many columns as X has rows.
-pub(super) fn solve_forward(
-    panel: MatRef<'_, f64>,
-    mut x: MatMut<'_, f64>,
-    below: MatMut<'_, f64>,
-    threads: Threads,
-) {
-    let width = panel.ncols();
-    let (top, bottom) = panel.split_at_row(width);
-    let mut rest = x.as_mut();
-    for first in (0..width).step_by(BLOCK) {
-        let size = BLOCK.min(width - first);
-        let (mut current, mut next) = rest.split_at_row_mut(size);
-        let (diagonal, under) = top.subcols(first, size).split_at_row(first).1.split_at_row(size);
-        solve_lower_triangular_in_place(diagonal, current.as_mut(), Par::Seq);
-        let current = current.as_ref();
-        threads.for_each(
-            next.as_mut().par_row_chunks_mut(CHUNK).zip(under.par_row_chunks(CHUNK)),
-            |(next, under)| matmul(next, Accum::Add, under, current, -1.0, Par::Seq),
-        );
-        rest = next;
-    }
-    let x = x.as_ref();
-    threads.for_each(
-        below.par_row_chunks_mut(CHUNK).zip(bottom.par_row_chunks(CHUNK)),
-        |(below, bottom)| matmul(below, Accum::Replace, bottom, x, 1.0, Par::Seq),
-    );
-}
-
-/// X ← L₁⁻ᵀ(X − L₂ᵀB) for a panel [L₁; L₂].
-pub(super) fn solve_backward(
-    panel: MatRef<'_, f64>,
-    mut x: MatMut<'_, f64>,
-    below: MatRef<'_, f64>,
-    threads: Threads,
-) {
-    let width = panel.ncols();
-    let (top, bottom) = panel.split_at_row(width);
-    let subtract = |x: MatMut<'_, f64>, l: MatRef<'_, f64>, b: MatRef<'_, f64>| {
-        threads.for_each(x.par_row_chunks_mut(CHUNK).zip(l.par_col_chunks(CHUNK)), |(x, l)| {
-            matmul(x, Accum::Add, l.transpose(), b, -1.0, Par::Seq)
-        });
-    };
-    subtract(x.as_mut(), bottom, below);
-    for first in (0..width).step_by(BLOCK).rev() {
-        let size = BLOCK.min(width - first);
-        let (rest, solved) = x.as_mut().split_at_row_mut(first + size);
-        let (_, mut current) = rest.split_at_row_mut(first);
-        let (diagonal, under) = top.subcols(first, size).split_at_row(first).1.split_at_row(size);
-        subtract(current.as_mut(), under, solved.as_ref());
-        solve_upper_triangular_in_place(diagonal.transpose(), current, Par::Seq);
-    }
 }

@@ -4,6 +4,7 @@
 mod front;
 mod numeric;
 mod ordering;
+mod panel;
 mod solve;
 mod symbolic;
 

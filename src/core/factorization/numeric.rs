@@ -5,7 +5,8 @@
 //! the elimination forest are tasks of their own; the few large fronts above them are shared by all
 //! threads, chunk by chunk.
 
-use super::front::{self, Threads};
+use super::front;
+use super::panel::Threads;
 use super::symbolic::{Piece, SymbolicCholesky};
 use faer::{Accum, MatMut};
 use rayon::prelude::*;

@@ -2,91 +2,112 @@
 //!
 //! The block is held by rows in the permuted order, so that what a supernode adds to or reads from
 //! the rows below it is contiguous. Subtrees of the elimination forest are solved side by side; what
-//! they owe to the rows above them is added up afterwards, in their order. One pass reads the factor
-//! once whatever the number of columns, and few columns are bound by that traffic.
+//! they owe to the rows above them is added up afterwards, in their order. Each block of columns
+//! reads the factor twice, and that traffic bounds the time.
 //!
 //! Supernodes that the right-hand sides do not reach are skipped on the way down: a stitch reaches
-//! a path to the root of the elimination tree, a few separators out of thousands of supernodes,
-//! which makes the columns of 30 stitches 1.7 × cheaper.
+//! a path to the root of the elimination tree, a few separators out of thousands of supernodes.
 
-use super::front::{self, Threads};
+use super::panel::{self, Panel, Row, Threads};
 use super::symbolic::{Piece, SymbolicCholesky};
 use faer::{MatMut, MatRef};
 use rayon::prelude::*;
 
-/// Columns solved at a time: with 31 million values in the factor, a column takes 40, 7.5, 5.6, 4.4 ms
-/// of processor time among 1, 8, 16, 32; beyond, memory grows and speed does not.
-const COLUMNS: usize = 48;
-
-/// Overwrites B (n×k) by (LLᵀ)⁻¹B.
-pub(super) fn solve_in_place(symbolic: &SymbolicCholesky, values: &[f64], mut b: MatMut<'_, f64>) {
+/// Overwrites B (n×k) by (LLᵀ)⁻¹B, sixteen columns at a time.
+pub(super) fn solve_in_place(symbolic: &SymbolicCholesky, values: &[f64], b: MatMut<'_, f64>) {
     if b.nrows() == 0 {
         return;
     }
-    for first in (0..b.ncols()).step_by(COLUMNS) {
-        let k = COLUMNS.min(b.ncols() - first);
-        let b = b.as_mut().subcols_mut(first, k);
-        let mut solver = Solver { symbolic, values, k, x: vec![0.0; b.nrows() * k] };
-        solver.gather(b.as_ref());
-        solver.forward();
-        solver.backward();
-        solver.scatter(b);
+    let k = b.ncols();
+    let wide = k - k % 32;
+    let (wide, rest) = b.split_at_col_mut(if k - wide > 16 { k } else { wide });
+    solve_columns::<32>(symbolic, values, wide);
+    match rest.ncols() {
+        0..=8 => solve_columns::<8>(symbolic, values, rest),
+        _ => solve_columns::<16>(symbolic, values, rest),
     }
 }
 
-struct Solver<'a> {
-    symbolic: &'a SymbolicCholesky,
-    values: &'a [f64],
-    k: usize,
-    /// Right-hand sides, then solutions, by rows in permuted order.
-    x: Vec<f64>,
+/// As above, `N` columns at a time.
+fn solve_columns<const N: usize>(
+    symbolic: &SymbolicCholesky,
+    values: &[f64],
+    mut b: MatMut<'_, f64>,
+) {
+    if b.ncols() == 0 {
+        return;
+    }
+    let mut solver = Solver { symbolic, values, x: vec![[0.0; N]; symbolic.n()] };
+    for first in (0..b.ncols()).step_by(N) {
+        let count = N.min(b.ncols() - first);
+        solver.solve(b.as_mut().subcols_mut(first, count));
+    }
 }
 
-/// Vertices that one task copies.
-const VERTICES_PER_TASK: usize = 2048;
+struct Solver<'a, const N: usize> {
+    symbolic: &'a SymbolicCholesky,
+    values: &'a [f64],
+    /// Right-hand sides, then solutions, by rows in permuted order; columns that are not there are
+    /// zero.
+    x: Vec<Row<N>>,
+}
 
-impl<'a> Solver<'a> {
-    /// Numbers of one vertex in `x`.
-    fn stride(&self) -> usize {
-        self.symbolic.size() * self.k
+/// Vertices that one task copies: their rows stay in the first-level cache.
+const VERTICES_PER_TASK: usize = 64;
+
+impl<'a, const N: usize> Solver<'a, N> {
+    /// `b` has at most `N` columns.
+    fn solve(&mut self, b: MatMut<'_, f64>) {
+        self.gather(b.as_ref());
+        self.forward();
+        self.backward();
+        self.scatter(b);
     }
 
     fn gather(&mut self, b: MatRef<'_, f64>) {
-        let (size, k) = (self.symbolic.size(), self.k);
-        let chunks = self.x.par_chunks_mut(VERTICES_PER_TASK * size * k);
+        let size = self.symbolic.size();
+        let chunks = self.x.par_chunks_mut(VERTICES_PER_TASK * size);
         chunks.zip(self.symbolic.order().par_chunks(VERTICES_PER_TASK)).for_each(|(x, order)| {
-            for j in 0..k {
+            if b.ncols() < N {
+                x.fill([0.0; N]);
+            }
+            for j in 0..b.ncols() {
                 let column = b.col(j);
-                for (x, &vertex) in x.chunks_exact_mut(size * k).zip(order) {
-                    for axis in 0..size {
-                        x[axis * k + j] = column[size * vertex + axis];
+                for (x, &vertex) in x.chunks_exact_mut(size).zip(order) {
+                    for (axis, x) in x.iter_mut().enumerate() {
+                        x[j] = column[size * vertex + axis];
                     }
                 }
             }
         });
     }
 
-    fn scatter(&self, mut b: MatMut<'_, f64>) {
-        let (size, k) = (self.symbolic.size(), self.k);
-        b.as_mut().par_col_chunks_mut(1).enumerate().for_each(|(j, column)| {
-            let mut column = column.col_mut(0);
-            for (x, &vertex) in self.x.chunks_exact(size * k).zip(self.symbolic.order()) {
-                for axis in 0..size {
-                    column[size * vertex + axis] = x[axis * k + j];
+    fn scatter(&self, b: MatMut<'_, f64>) {
+        let size = self.symbolic.size();
+        let chunks = b.par_row_chunks_mut(VERTICES_PER_TASK * size);
+        chunks.zip(self.symbolic.position().par_chunks(VERTICES_PER_TASK)).for_each(
+            |(mut b, position)| {
+                for j in 0..b.ncols() {
+                    let mut column = b.as_mut().col_mut(j);
+                    for (v, &at) in position.iter().enumerate() {
+                        for axis in 0..size {
+                            column[size * v + axis] = self.x[size * at as usize + axis][j];
+                        }
+                    }
                 }
-            }
-        });
+            },
+        );
     }
 
-    /// The pieces with their rows of `x`, and the number of the first of these vertices.
-    fn split<'x>(&self, x: &'x mut [f64]) -> Vec<(&'a Piece, &'x mut [f64])> {
-        let stride = self.stride();
+    /// The pieces with their rows of `x`.
+    fn split<'x>(&self, x: &'x mut [Row<N>]) -> Vec<(&'a Piece, &'x mut [Row<N>])> {
+        let size = self.symbolic.size();
         let mut rest = x;
         self.symbolic
             .pieces()
             .iter()
             .map(|piece| {
-                let count = self.symbolic.columns_of(piece).len() * stride;
+                let count = self.symbolic.columns_of(piece).len() * size;
                 let (own, after) = std::mem::take(&mut rest).split_at_mut(count);
                 rest = after;
                 (piece, own)
@@ -94,41 +115,42 @@ impl<'a> Solver<'a> {
             .collect()
     }
 
-    fn panel(&self, supernode: usize) -> MatRef<'a, f64> {
+    /// A supernode's panel, and where its rows lie in `x` that starts at vertex `first`.
+    fn panel(&self, supernode: usize, first: usize) -> (Panel<'a>, std::ops::Range<usize>) {
         let (width, depth) = self.symbolic.width_and_depth(supernode);
-        let values = &self.values[self.symbolic.supernodes()[supernode].values.clone()];
-        MatRef::from_column_major_slice(values, width + depth, width)
+        let supernode = &self.symbolic.supernodes()[supernode];
+        let start = (supernode.columns.start - first) * self.symbolic.size();
+        let panel = Panel::new(&self.values[supernode.values.clone()], width + depth, width);
+        (panel, start..start + width)
     }
 
     fn forward(&mut self) {
-        let symbolic = self.symbolic;
+        let (symbolic, size) = (self.symbolic, self.symbolic.size());
         let mut x = std::mem::take(&mut self.x);
-        let owed: Vec<Option<Vec<f64>>> = self
+        let owed: Vec<Option<Vec<Row<N>>>> = self
             .split(&mut x)
             .into_par_iter()
             .with_max_len(1)
             .map(|(piece, x)| if piece.is_subtree { self.forward_subtree(piece, x) } else { None })
             .collect();
-        let stride = self.stride();
         for (piece, owed) in symbolic.pieces().iter().zip(owed) {
             if let Some(owed) = owed {
-                let root = piece.supernodes.end - 1;
-                subtract_rows(&mut x, 0, symbolic.rows(root), &owed, stride);
+                add_rows(&mut x, 0, symbolic.rows(piece.supernodes.end - 1), &owed, size);
             }
         }
-        let mut product = Vec::new();
+        let mut below = Vec::new();
         for piece in symbolic.pieces().iter().filter(|piece| !piece.is_subtree) {
             let s = piece.supernodes.start;
-            self.forward_supernode(s, 0, &mut x, &mut product, Threads::All);
-            subtract_rows(&mut x, 0, symbolic.rows(s), &product, stride);
+            self.forward_supernode(s, 0, &mut x, &mut below, Threads::All);
+            add_rows(&mut x, 0, symbolic.rows(s), &below, size);
         }
         self.x = x;
     }
 
-    /// X ← L⁻¹X on the rows of one subtree; returns what is to be subtracted from the rows below its
-    /// root, unless the right-hand sides do not reach it.
-    fn forward_subtree(&self, piece: &Piece, x: &mut [f64]) -> Option<Vec<f64>> {
-        let (symbolic, stride) = (self.symbolic, self.stride());
+    /// X ← L⁻¹X on the rows of one subtree; returns what is to be added to the rows below its root,
+    /// unless the right-hand sides do not reach it.
+    fn forward_subtree(&self, piece: &Piece, x: &mut [Row<N>]) -> Option<Vec<Row<N>>> {
+        let (symbolic, size) = (self.symbolic, self.symbolic.size());
         let columns = symbolic.columns_of(piece);
         let root_rows = symbolic.rows(piece.supernodes.end - 1);
         let first = piece.supernodes.start;
@@ -136,13 +158,12 @@ impl<'a> Solver<'a> {
             .supernodes
             .clone()
             .map(|s| {
-                let own = &symbolic.supernodes()[s].columns;
-                let rows = (own.start - columns.start) * stride..(own.end - columns.start) * stride;
-                x[rows].iter().any(|value| *value != 0.0)
+                let rows = self.panel(s, columns.start).1;
+                x[rows].iter().flatten().any(|value| *value != 0.0)
             })
             .collect();
-        let mut owed = vec![0.0; root_rows.len() * stride];
-        let mut product = Vec::new();
+        let mut owed = vec![[0.0; N]; root_rows.len() * size];
+        let mut below = Vec::new();
         for s in piece.supernodes.clone() {
             if !reached[s - first] {
                 continue;
@@ -153,60 +174,56 @@ impl<'a> Solver<'a> {
             {
                 *parent = true;
             }
-            self.forward_supernode(s, columns.start, x, &mut product, Threads::One);
+            self.forward_supernode(s, columns.start, x, &mut below, Threads::One);
             let rows = symbolic.rows(s);
             let inside = rows.partition_point(|&row| (row as usize) < columns.end);
-            let (own, outer) = product.split_at(inside * stride);
-            subtract_rows(x, columns.start, &rows[..inside], own, stride);
+            let (own, outer) = below.split_at(inside * size);
+            add_rows(x, columns.start, &rows[..inside], own, size);
             let mut at = 0;
-            for (&row, product) in rows[inside..].iter().zip(outer.chunks_exact(stride)) {
+            for (&row, outer) in rows[inside..].iter().zip(outer.chunks_exact(size)) {
                 while root_rows[at] < row {
                     at += 1;
                 }
-                let owed = &mut owed[at * stride..][..stride];
-                owed.iter_mut().zip(product).for_each(|(owed, product)| *owed += product);
+                add(&mut owed[at * size..][..size], outer);
             }
         }
         reached.last().copied().unwrap_or(false).then_some(owed)
     }
 
-    /// Solves for the rows of a supernode and leaves L₂X in `product`; `x` starts at vertex `first`.
+    /// Solves for the rows of a supernode and leaves −L₂X in `below`; `x` starts at vertex `first`.
     fn forward_supernode(
         &self,
         s: usize,
         first: usize,
-        x: &mut [f64],
-        product: &mut Vec<f64>,
+        x: &mut [Row<N>],
+        below: &mut Vec<Row<N>>,
         threads: Threads,
     ) {
-        let (width, depth) = self.symbolic.width_and_depth(s);
-        product.resize(depth * self.k, 0.0);
-        let start = (self.symbolic.supernodes()[s].columns.start - first) * self.stride();
-        let x = MatMut::from_row_major_slice_mut(&mut x[start..][..width * self.k], width, self.k);
-        let below = MatMut::from_row_major_slice_mut(product, depth, self.k);
-        front::solve_forward(self.panel(s), x, below, threads);
+        below.resize(self.symbolic.width_and_depth(s).1, [0.0; N]);
+        let (panel, rows) = self.panel(s, first);
+        panel::solve_forward(panel, &mut x[rows], below, threads);
     }
 
     fn backward(&mut self) {
-        let symbolic = self.symbolic;
+        let (symbolic, size) = (self.symbolic, self.symbolic.size());
         let mut x = std::mem::take(&mut self.x);
-        let stride = self.stride();
         let mut below = Vec::new();
         for piece in symbolic.pieces().iter().filter(|piece| !piece.is_subtree).rev() {
             let s = piece.supernodes.start;
             below.clear();
-            gather_rows(&x, 0, symbolic.rows(s), &mut below, stride);
-            self.backward_supernode(s, 0, &mut x, &below, Threads::All);
+            gather_rows(&x, 0, symbolic.rows(s), &mut below, size);
+            let (panel, rows) = self.panel(s, 0);
+            panel::solve_backward(panel, &mut x[rows], &below, Threads::All);
         }
         // What lies above a subtree is final: each takes a copy of the rows that it reads.
-        let outer: Vec<Vec<f64>> = symbolic
+        let outer: Vec<Vec<Row<N>>> = symbolic
             .pieces()
             .iter()
             .map(|piece| {
                 let mut rows = Vec::new();
                 if piece.is_subtree {
                     let root = piece.supernodes.end - 1;
-                    gather_rows(&x, 0, symbolic.rows(root), &mut rows, stride);
+                    gather_rows(&x, 0, symbolic.rows(root), &mut rows, size);
                 }
                 rows
             })
@@ -222,8 +239,8 @@ impl<'a> Solver<'a> {
     }
 
     /// X ← L⁻ᵀX on the rows of one subtree, given those below its root.
-    fn backward_subtree(&self, piece: &Piece, x: &mut [f64], outer: &[f64]) {
-        let (symbolic, stride) = (self.symbolic, self.stride());
+    fn backward_subtree(&self, piece: &Piece, x: &mut [Row<N>], outer: &[Row<N>]) {
+        let (symbolic, size) = (self.symbolic, self.symbolic.size());
         let columns = symbolic.columns_of(piece);
         let root_rows = symbolic.rows(piece.supernodes.end - 1);
         let mut below = Vec::new();
@@ -231,45 +248,48 @@ impl<'a> Solver<'a> {
             let rows = symbolic.rows(s);
             let inside = rows.partition_point(|&row| (row as usize) < columns.end);
             below.clear();
-            gather_rows(x, columns.start, &rows[..inside], &mut below, stride);
+            gather_rows(x, columns.start, &rows[..inside], &mut below, size);
             let mut at = 0;
             for &row in &rows[inside..] {
                 while root_rows[at] < row {
                     at += 1;
                 }
-                below.extend_from_slice(&outer[at * stride..][..stride]);
+                below.extend_from_slice(&outer[at * size..][..size]);
             }
-            self.backward_supernode(s, columns.start, x, &below, Threads::One);
+            let (panel, rows) = self.panel(s, columns.start);
+            panel::solve_backward(panel, &mut x[rows], &below, Threads::One);
         }
     }
+}
 
-    fn backward_supernode(
-        &self,
-        s: usize,
-        first: usize,
-        x: &mut [f64],
-        below: &[f64],
-        threads: Threads,
-    ) {
-        let (width, depth) = self.symbolic.width_and_depth(s);
-        let start = (self.symbolic.supernodes()[s].columns.start - first) * self.stride();
-        let x = MatMut::from_row_major_slice_mut(&mut x[start..][..width * self.k], width, self.k);
-        let below = MatRef::from_row_major_slice(below, depth, self.k);
-        front::solve_backward(self.panel(s), x, below, threads);
+fn add<const N: usize>(to: &mut [Row<N>], from: &[Row<N>]) {
+    for (to, from) in to.as_flattened_mut().iter_mut().zip(from.as_flattened()) {
+        *to += from;
     }
 }
 
-/// Subtracts one row of `values` from each vertex in `rows`; `x` starts at vertex `first`.
-fn subtract_rows(x: &mut [f64], first: usize, rows: &[u32], values: &[f64], stride: usize) {
-    for (&row, values) in rows.iter().zip(values.chunks_exact(stride)) {
-        let x = &mut x[(row as usize - first) * stride..][..stride];
-        x.iter_mut().zip(values).for_each(|(x, value)| *x -= value);
+/// Adds `size` rows to each vertex in `rows`; `x` starts at vertex `first`.
+fn add_rows<const N: usize>(
+    x: &mut [Row<N>],
+    first: usize,
+    rows: &[u32],
+    values: &[Row<N>],
+    size: usize,
+) {
+    for (&row, values) in rows.iter().zip(values.chunks_exact(size)) {
+        add(&mut x[(row as usize - first) * size..][..size], values);
     }
 }
 
-/// Appends the values of each vertex in `rows`; `x` starts at vertex `first`.
-fn gather_rows(x: &[f64], first: usize, rows: &[u32], values: &mut Vec<f64>, stride: usize) {
+/// Appends the rows of each vertex in `rows`; `x` starts at vertex `first`.
+fn gather_rows<const N: usize>(
+    x: &[Row<N>],
+    first: usize,
+    rows: &[u32],
+    values: &mut Vec<Row<N>>,
+    size: usize,
+) {
     for &row in rows {
-        values.extend_from_slice(&x[(row as usize - first) * stride..][..stride]);
+        values.extend_from_slice(&x[(row as usize - first) * size..][..size]);
     }
 }
