@@ -6,9 +6,9 @@ use std::time::Duration;
 /// The stages of a build, in the order of the data flow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Stage {
-    /// Mass and rest stiffness matrices.
+    /// Mass and rest stiffness matrices; beside them the fill-reducing ordering of their graph.
     Assembly,
-    /// Ordering and sparse Cholesky factorization of the shifted stiffness matrix.
+    /// Sparse Cholesky factorization of the shifted stiffness matrix.
     Factorization,
     /// Lowest linear modes (from scratch or updated).
     Modes,

@@ -14,9 +14,11 @@ pub use params::{BuildError, BuildParams, CubatureParams, Method, RebuildParams}
 
 use crate::assembly::FullModel;
 use crate::assembly::mass::Mass;
+use crate::assembly::sparse::Pattern;
 use crate::control::{self, Cancelled, Control, Stage};
 use crate::derivatives::{self, NEW_DERIVATIVE_MODES, REUSED_SHARE};
 use crate::edit::{Edit, StitchId, StitchSet};
+use crate::factorization::SymbolicCholesky;
 use crate::linalg::{self, DenseError};
 use crate::mesh::TetMesh;
 use crate::modes::low_rank::{self, MassInverse};
@@ -74,13 +76,27 @@ pub fn build(
     }
     params::check_seams(&model, params)?;
     let pattern = Arc::new(model.pattern(&[]));
-    let mass = model.mass(params.mass, &pattern);
-    let stiffness = model.rest_stiffness(&pattern);
-    let rigid = rigid::rigid_modes(&model, &mass)?;
+    let (symbolic, (mass, stiffness, rigid)) = rayon::join(
+        || analyse(&pattern, &model),
+        || {
+            let mass = model.mass(params.mass, &pattern);
+            let stiffness = model.rest_stiffness(&pattern);
+            let rigid = rigid::rigid_modes(&model, &mass);
+            (mass, stiffness, rigid)
+        },
+    );
+    let (symbolic, rigid) = (symbolic?, rigid?);
     clock.finish(Stage::Assembly)?;
 
-    let Spectrum { factor, sigma, modes, mut residuals } =
-        lowest_spectrum(&model, &mass, &stiffness, rigid.as_ref(), params.n_modes, &mut clock)?;
+    let Spectrum { factor, sigma, modes, mut residuals } = lowest_spectrum(
+        &model,
+        &mass,
+        &stiffness,
+        rigid.as_ref(),
+        symbolic,
+        params.n_modes,
+        &mut clock,
+    )?;
     if modes.eigenvalues.len() < params.n_modes {
         warnings.push(format!(
             "{} modes were asked for, but the body has only {}",
@@ -139,6 +155,14 @@ pub fn build(
     finish(draft, clock)
 }
 
+/// Orders and analyses the stiffness's pattern: work for one thread, beside the assembly.
+fn analyse(pattern: &Arc<Pattern>, model: &FullModel) -> Result<Arc<SymbolicCholesky>, BuildError> {
+    match SymbolicCholesky::new(pattern.clone(), 3) {
+        Ok(symbolic) => Ok(Arc::new(symbolic)),
+        Err(error) => Err(BuildError::of_factorization(error, model)),
+    }
+}
+
 /// Applies `edits` to `previous` and returns the next generation with the names of the stitches
 /// made. `previous` is untouched.
 ///
@@ -173,13 +197,21 @@ fn from_scratch(
     let Prepared { params, model, mass, .. } = &**prepared;
     let a = StitchMatrix::new(model, stitches.as_slice());
     let pairs: Vec<[u32; 2]> = stitches.as_slice().iter().map(|s| s.pair).collect();
-    let mut stiffness = model.rest_stiffness(&Arc::new(model.pattern(&pairs)));
-    a.add_to(&mut stiffness);
+    let pattern = Arc::new(model.pattern(&pairs));
+    let (symbolic, stiffness) = rayon::join(
+        || analyse(&pattern, model),
+        || {
+            let mut stiffness = model.rest_stiffness(&pattern);
+            a.add_to(&mut stiffness);
+            stiffness
+        },
+    );
+    let symbolic = symbolic?;
     let rigid = rigid_left(&a, prepared.rigid.as_ref())?;
     clock.finish(Stage::Assembly)?;
 
     let Spectrum { factor, sigma, modes, mut residuals } =
-        lowest_spectrum(model, mass, &stiffness, rigid.as_ref(), params.n_modes, clock)?;
+        lowest_spectrum(model, mass, &stiffness, rigid.as_ref(), symbolic, params.n_modes, clock)?;
     let kept = modes.lowest(params.n_modes);
     residuals.truncate(params.n_modes);
     let none = FlexibilityColumns::new();

@@ -26,7 +26,7 @@ pub(super) struct Spectrum {
     pub(super) residuals: Vec<f64>,
 }
 
-/// Factorizes and finds the lowest elastic modes. A body without rigid motions needs no shift; for
+/// Factorizes, by the analysis of the stiffness's pattern, and finds the lowest elastic modes. A body without rigid motions needs no shift; for
 /// the others σ is an estimate of the first elastic eigenvalue, chosen again from the true one if it
 /// was far off.
 pub(super) fn lowest_spectrum(
@@ -34,15 +34,16 @@ pub(super) fn lowest_spectrum(
     mass: &Mass,
     stiffness: &BlockMatrix,
     rigid: MatRef<'_, f64>,
+    symbolic: Arc<SymbolicCholesky>,
     n_modes: usize,
     clock: &mut StageClock<'_>,
 ) -> Result<Spectrum, BuildError> {
-    let failed = |error| BuildError::of_factorization(error, model);
-    let symbolic = SymbolicCholesky::new(stiffness.pattern().clone(), 3).map_err(failed)?;
-    let symbolic = Arc::new(symbolic);
     let factorize = |sigma: f64| {
-        SparseCholesky::with_symbolic(symbolic.clone(), &shifted(stiffness, sigma, mass))
-            .map_err(failed)
+        match sigma {
+            0.0 => SparseCholesky::with_symbolic(symbolic.clone(), stiffness),
+            _ => SparseCholesky::with_symbolic(symbolic.clone(), &shifted(stiffness, sigma, mass)),
+        }
+        .map_err(|error| BuildError::of_factorization(error, model))
     };
     let mut sigma = if rigid.ncols() == 0 {
         0.0
@@ -66,6 +67,7 @@ pub(super) fn lowest_spectrum(
         let [low, high] = shift::GOOD_RATIO;
         if !(low * first..=high * first).contains(&sigma) {
             sigma = first;
+            drop(factor);
             factor = factorize(sigma)?;
             clock.finish(Stage::Factorization)?;
         }

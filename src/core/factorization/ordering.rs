@@ -3,6 +3,12 @@
 use super::FactorizationError;
 use crate::assembly::sparse::Pattern;
 use feral_ordering_core::CscPattern;
+use feral_scotch::ScotchOptions;
+
+/// Graphs up to this size are ordered by minimum degree. Measured on two bodies, against the
+/// library's 120: three quarters of the time, as many operations (+2 and −2 %); 800 halves the time
+/// and costs 4 to 8 % more operations.
+const DISSECTED_FROM: u32 = 400;
 
 /// A nested-dissection order of the vertices (new → old), checked to be a permutation.
 ///
@@ -22,9 +28,10 @@ pub(super) fn nested_dissection(pattern: &Pattern) -> Result<Vec<usize>, Factori
         neighbours.extend(pattern.row(v).iter().filter(|&&w| w as usize != v).map(|&w| w as i32));
         start.push(neighbours.len() as i32);
     }
+    let options = ScotchOptions { amd_switch: DISSECTED_FROM, ..ScotchOptions::default() };
     let graph = CscPattern::new(n, &start, &neighbours).ok_or_else(|| failed("bad pattern"))?;
     let order =
-        feral_scotch::scotch_order(&graph).map_err(|error| failed(&format!("{error:?}")))?;
+        feral_scotch::scotch_order_full(&graph, &options).map_err(|e| failed(&format!("{e:?}")))?.0;
     let mut seen = vec![false; n];
     for &v in &order {
         match usize::try_from(v).ok().filter(|&v| v < n) {
