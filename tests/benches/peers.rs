@@ -248,7 +248,7 @@ fn vega_ratios(results: &Results, rescaled: f64) -> Vec<Ratio> {
         }
     }
     if let Some(vega) = results.vega.as_ref().filter(|_| results.vega_body == "stomach") {
-        let (ours, theirs) = (vega.sessions.total.median_s, vega::BUILD_S * rescaled);
+        let (ours, theirs) = (vega.build_s(), vega::BUILD_S * rescaled);
         let work = "build of 20 modes and all 210 derivatives";
         let target = Target::AtLeast(12.0);
         ratios.push(ratio("stomach", work, &against, [ours, theirs], theirs / ours, target));

@@ -75,8 +75,9 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
         draft.warnings.push(format!("modal derivatives have a relative residual of {worst:.1e}"));
     }
 
-    let weighed =
-        LinearModes { shapes: draft.modes.shapes.clone(), eigenvalues: draft.weighing.clone() };
+    // The modes go by their weights until the end.
+    std::mem::swap(&mut draft.modes.eigenvalues, &mut draft.weighing);
+    let weighed = &draft.modes;
     let groups: Vec<WeightedDerivatives<'_>> = draft
         .derivatives
         .iter()
@@ -85,7 +86,7 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
             eigenvalues: set.eigenvalues.clone(),
         })
         .collect();
-    let (basis, _) = mass_pca(&prepared.mass, &weighed, &groups, params.basis_size, params.pca)?;
+    let (basis, _) = mass_pca(&prepared.mass, weighed, &groups, params.basis_size, params.pca)?;
     if basis.ncols() < params.basis_size {
         draft.warnings.push(format!(
             "the basis has {} columns instead of {}: modes and derivatives span no more",
@@ -105,7 +106,7 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
         None => (Rule::exact(prepared.model.corners().len()), None, 0.0),
         Some(cubature) => {
             let shapes = Shapes {
-                modes: &weighed,
+                modes: weighed,
                 derivatives: draft.derivatives[0].shapes.as_ref(),
                 pairs: &draft.derivatives[0].pairs,
                 diagonal_m: prepared.model.mesh().diagonal(),
@@ -139,6 +140,7 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
         draft.n_rigid_modes,
     );
     clock.finish(Stage::Reduction)?;
+    std::mem::swap(&mut draft.modes.eigenvalues, &mut draft.weighing);
     Ok(Artifacts {
         prepared,
         columns: draft.columns,

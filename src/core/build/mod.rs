@@ -358,7 +358,7 @@ fn audit(
 
 /// Right-hand sides solved for at a time: the solve gains nothing from more, and what surrounds it holds
 /// several blocks of this width.
-const DERIVATIVES_PER_SOLVE: usize = 48;
+const DERIVATIVES_PER_SOLVE: usize = 32;
 
 /// New modal derivatives, with the right-hand sides that later updates reuse and K̂_σ⁻¹ of those.
 struct New {
