@@ -3,6 +3,7 @@
 
 mod bodies;
 mod clock;
+mod cubature;
 mod edits;
 mod kernels;
 mod measure;
@@ -48,6 +49,9 @@ struct Arguments {
     /// Vertices of the largest cube; 0 leaves the cubes out.
     #[arg(long)]
     cubes: Option<usize>,
+    /// Compare the methods that select cubature points as well: 16 builds a body.
+    #[arg(long)]
+    cubature: bool,
     /// What peers/peers.py wrote.
     #[arg(long)]
     peers: Option<PathBuf>,
@@ -84,6 +88,7 @@ impl Arguments {
             repeat: self.repeat.into(),
             most_stitches: self.stitches,
             most_cube_vertices: self.cubes.unwrap_or(largest),
+            compares_cubature: self.cubature,
             is_apart: true,
         }
     }

@@ -1,5 +1,6 @@
 //! The results in Markdown.
 
+use crate::cubature::{ERRORS, POINTS};
 use crate::edits::{Comparison, Rebuilds};
 use crate::measure::Times;
 use crate::paper;
@@ -83,6 +84,7 @@ pub(crate) fn markdown(results: &Results, pictures: &[String]) -> String {
     text += &speedup(results);
     text += &stages(results);
     text += &kernels(results);
+    text += &cubature(results);
     text += &vega(results);
     text += &scaling(results);
     if !pictures.is_empty() {
@@ -447,6 +449,33 @@ fn kernels(results: &Results) -> String {
         table.row(&cells);
     }
     table.note("36 modes; rigid ones come on top.")
+}
+
+fn cubature(results: &Results) -> String {
+    if results.bodies.iter().all(|body| body.cubature.is_empty()) {
+        return String::new();
+    }
+    let mut head = vec!["body".to_owned(), "method".to_owned()];
+    head.extend(POINTS.map(|points| format!("{points} points")));
+    head.extend(ERRORS.map(|error| format!("points for {} %", 100.0 * error)));
+    let head: Vec<&str> = head.iter().map(String::as_str).collect();
+    let mut table = Table::new("Cubature: methods of selection", &head);
+    for body in &results.bodies {
+        for method in &body.cubature {
+            let mut cells = vec![body.name.clone(), method.name.clone()];
+            cells.extend(method.trainings.iter().map(|training| {
+                format!("{:.1} %, {}", 100.0 * training.error, seconds(training.seconds))
+            }));
+            cells.extend(ERRORS.map(|error| {
+                method.points_at(error).map_or("–".into(), |points| format!("{points:.0}"))
+            }));
+            table.row(&cells);
+        }
+    }
+    table.note(
+        "Force error on held-out poses in the energy norm, 60 columns, 100 training poses; seconds of \
+         exact forces, selection and fit; points interpolated.",
+    )
 }
 
 fn vega(results: &Results) -> String {

@@ -2,6 +2,7 @@
 //! so that none inherits another's memory.
 
 use crate::bodies::{Body, Failure};
+use crate::cubature::{self, Method};
 use crate::edits::{self, Edits};
 use crate::kernels::{self, Kernels};
 use crate::measure::{Check, Machine};
@@ -28,6 +29,8 @@ pub(crate) struct Plan {
     pub(crate) most_stitches: usize,
     /// Vertices of the largest cube; none if 0.
     pub(crate) most_cube_vertices: usize,
+    /// Whether the methods that select cubature points are compared.
+    pub(crate) compares_cubature: bool,
     /// Whether every part gets a process of its own (peak memory is wrong otherwise).
     pub(crate) is_apart: bool,
 }
@@ -38,6 +41,7 @@ pub(crate) enum Part {
     Kernels,
     Edits,
     Session,
+    Cubature,
     Vega,
     Scaling,
 }
@@ -49,6 +53,8 @@ pub(crate) struct BodyResults {
     pub(crate) kernels: Kernels,
     pub(crate) edits: Edits,
     pub(crate) sessions: Sessions,
+    /// Empty unless asked for.
+    pub(crate) cubature: Vec<Method>,
 }
 
 /// One run.
@@ -89,6 +95,7 @@ impl Plan {
                 self.repeat,
             )?)?,
             Part::Session => serde_json::to_value(session::measure(&body)?)?,
+            Part::Cubature => serde_json::to_value(cubature::measure(&body)?)?,
             Part::Vega => serde_json::to_value(session::measure_vega(&body, self.repeat)?)?,
             Part::Scaling => unreachable!("answered above"),
         })
@@ -129,6 +136,10 @@ impl Plan {
                 kernels: self.answer(Part::Kernels, name)?,
                 edits: self.answer(Part::Edits, name)?,
                 sessions: Sessions::of(sessions).ok_or("at least one repetition is needed")?,
+                cubature: match self.compares_cubature {
+                    true => self.answer(Part::Cubature, name)?,
+                    false => Vec::new(),
+                },
             });
         }
         let vega_body = self.bodies.iter().find(|name| name.starts_with("stomach"));

@@ -3,6 +3,7 @@
 
 mod bodies;
 mod clock;
+mod cubature;
 mod edits;
 mod kernels;
 mod measure;
@@ -29,6 +30,7 @@ fn plan() -> Plan {
         repeat: 1,
         most_stitches: 5,
         most_cube_vertices: 5000,
+        compares_cubature: false,
         is_apart: false,
     }
 }

@@ -17,6 +17,9 @@ const CANDIDATES_PER_POINT: usize = 12;
 /// Least number of candidates (or every tet of a small mesh).
 const LEAST_CANDIDATES: usize = 600;
 
+/// Most numbers in the columns of the candidates: half a gigabyte, whatever is asked for.
+const MOST_NUMBERS: usize = 1 << 26;
+
 /// Rows of the sketch for each point that may be chosen, and at least so many ([`Sketch`]).
 const ROWS_PER_POINT: usize = 8;
 const LEAST_ROWS: usize = 2000;
@@ -54,9 +57,11 @@ pub(super) fn select(
         Selection::EmpiricalCubature => SINGULAR_ROWS_PER_POINT * training.n_points,
         _ => LEAST_ROWS.max(ROWS_PER_POINT * training.n_points),
     };
+    let rows = rows.min(samples.n_equations());
     let sketch = Sketch::new(samples.n_equations(), rows, training.seed);
     let target = samples.target(&sketch);
-    let mut candidates = candidates(samples.model.corners().len(), training);
+    let most = MOST_NUMBERS / rows.max(1);
+    let mut candidates = candidates(samples.model.corners().len(), training, most);
     let columns = samples.columns(&candidates, &sketch);
     control::check(control)?;
     control.progress(Stage::Cubature, 0.6);
@@ -78,11 +83,11 @@ pub(super) fn select(
     Ok(rule(&candidates, &entries))
 }
 
-/// A random subset of the tets, ascending.
-fn candidates(n_tets: usize, training: &Training) -> Vec<u32> {
+/// A random subset of the tets, at most `most`, ascending.
+fn candidates(n_tets: usize, training: &Training, most: usize) -> Vec<u32> {
     let mut all: Vec<u32> = (0..n_tets as u32).collect();
     all.shuffle(&mut ChaCha8Rng::seed_from_u64(training.seed));
-    all.truncate((CANDIDATES_PER_POINT * training.n_points).max(LEAST_CANDIDATES));
+    all.truncate((CANDIDATES_PER_POINT * training.n_points).max(LEAST_CANDIDATES).min(most));
     all.sort_unstable();
     all
 }
