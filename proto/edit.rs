@@ -18,6 +18,10 @@ pub struct EditRequest {
     /// The generation the edit was made for; refused with 409 if it is no longer the current one.
     #[serde(default)]
     pub base_generation: Option<u64>,
+    /// A generation that the session still keeps, to return to first: undo and redo. Without edits
+    /// the next generation is that one again, at no cost.
+    #[serde(default)]
+    pub restore: Option<u64>,
     /// How the linear modes follow. Default: `flexibility`.
     #[serde(default)]
     pub method: EditMethod,
@@ -25,7 +29,7 @@ pub struct EditRequest {
     /// Default: 1e-4.
     #[serde(default = "default_tolerance")]
     pub tolerance: f64,
-    /// The changes, applied in order.
+    /// The changes, applied in order; at least one, unless `restore` is given.
     pub edits: Vec<Edit>,
 }
 
@@ -62,6 +66,15 @@ pub enum Edit {
         /// The stitches' names, from an [`EditReply`].
         stitch_ids: Vec<u64>,
     },
+    /// Remove every stitch.
+    UnstitchAll {},
+    /// Give stitches another stiffness; they keep their names.
+    SetStiffness {
+        /// The stitches' names, from an [`EditReply`].
+        stitch_ids: Vec<u64>,
+        /// Stiffness of each spring from now on, in N/m.
+        stiffness_n_m: f64,
+    },
     /// Multiply the stiffness of a domain.
     ScaleStiffness {
         /// The domain's label.
@@ -72,10 +85,16 @@ pub enum Edit {
 }
 
 impl EditRequest {
+    /// The kept generation `generation` once more: undo and redo.
+    pub fn restore(generation: u64) -> EditRequest {
+        EditRequest { restore: Some(generation), ..EditRequest::new(Vec::new()) }
+    }
+
     /// `edits` on whatever generation is current, by the default method and tolerance.
     pub fn new(edits: Vec<Edit>) -> EditRequest {
         EditRequest {
             base_generation: None,
+            restore: None,
             method: EditMethod::default(),
             tolerance: default_tolerance(),
             edits,
@@ -86,7 +105,9 @@ impl EditRequest {
     /// whether pairs coincide, is for the body to say.
     pub fn validate(&self) -> Result<(), Invalid> {
         within("/tolerance", self.tolerance, 1e-14, 1.0)?;
-        length_within("/edits", self.edits.len(), MAX_EDITS)?;
+        if !(self.edits.is_empty() && self.restore.is_some()) {
+            length_within("/edits", self.edits.len(), MAX_EDITS)?;
+        }
         for (i, edit) in self.edits.iter().enumerate() {
             match edit {
                 Edit::Stitch { pairs, stiffness_n_m } => {
@@ -97,6 +118,13 @@ impl EditRequest {
                 Edit::Unstitch { stitch_ids } => {
                     let pointer = format!("/edits/{i}/unstitch/stitch_ids");
                     length_within(&pointer, stitch_ids.len(), MAX_PAIRS)?;
+                }
+                Edit::UnstitchAll {} => {}
+                Edit::SetStiffness { stitch_ids, stiffness_n_m } => {
+                    let pointer = format!("/edits/{i}/set_stiffness");
+                    length_within(&format!("{pointer}/stitch_ids"), stitch_ids.len(), MAX_PAIRS)?;
+                    let pointer = format!("{pointer}/stiffness_n_m");
+                    within(&pointer, *stiffness_n_m, f64::MIN_POSITIVE, f64::MAX)?;
                 }
                 Edit::ScaleStiffness { factor, .. } => {
                     within(&format!("/edits/{i}/scale_stiffness/factor"), *factor, 1e-9, 1e9)?;

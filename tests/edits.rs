@@ -90,6 +90,28 @@ async fn unstitching_returns_the_original_spectrum() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn undone_redone_and_changed_in_stiffness() {
+    let daemon = Daemon::start();
+    let session = ready_bar(&daemon).await;
+    let stitched = session.edit(&stitch(&seam())).await.unwrap();
+    let undone = session.edit(&EditRequest::restore(0)).await.unwrap();
+    assert_eq!((undone.generation, undone.n_stitches), (2, 0));
+    let redone = session.edit(&EditRequest::restore(1)).await.unwrap();
+    assert_eq!((redone.generation, redone.n_stitches), (3, stitched.n_stitches));
+    assert_eq!(redone.frequencies_hz, stitched.frequencies_hz);
+
+    let soften = Edit::SetStiffness { stitch_ids: stitched.stitch_ids, stiffness_n_m: 1.0 };
+    let soft = session.edit(&EditRequest::new(vec![soften])).await.unwrap();
+    assert_eq!(soft.n_stitches, stitched.n_stitches);
+    assert!(soft.frequencies_hz[0] < 0.9 * stitched.frequencies_hz[0]);
+    let open = session.edit(&EditRequest::new(vec![Edit::UnstitchAll {}])).await.unwrap();
+    assert_eq!((open.n_stitches, open.n_rigid_modes), (0, undone.n_rigid_modes));
+
+    let lost = session.edit(&EditRequest::restore(99)).await.unwrap_err();
+    assert_eq!(lost.status(), Some(404), "{lost}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn the_paper_s_method_does_not_raise_the_frequencies() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;

@@ -35,7 +35,9 @@ fn example_edits() -> Value {
     json!({ "base_generation": 0, "method": "flexibility", "tolerance": 1e-4,
       "edits": [ {"stitch": {"pairs": [[17, 4021], [18, 4022]], "stiffness_n_m": 1e5}},
                  {"unstitch": {"stitch_ids": [3, 4]}},
-                 {"scale_stiffness": {"domain": 2, "factor": 100.0}} ] })
+                 {"scale_stiffness": {"domain": 2, "factor": 100.0}},
+                 {"set_stiffness": {"stitch_ids": [5], "stiffness_n_m": 2e5}},
+                 {"unstitch_all": {}} ] })
 }
 
 fn edit_reply() -> EditReply {
@@ -100,7 +102,10 @@ fn unknown_members_are_refused_by_name() {
         let error = parse::<SessionConfig>(with(at, example_config())).unwrap_err().to_string();
         assert!(error.contains("speling"), "{at}: {error}");
     }
-    for at in ["", "/edits/0/stitch", "/edits/1/unstitch", "/edits/2/scale_stiffness"] {
+    let edits = ["stitch", "unstitch", "scale_stiffness", "set_stiffness", "unstitch_all"];
+    let edits = edits.iter().enumerate().map(|(i, edit)| format!("/edits/{i}/{edit}"));
+    for at in edits.chain([String::new()]) {
+        let at = at.as_str();
         let error = parse::<EditRequest>(with(at, example_edits())).unwrap_err().to_string();
         assert!(error.contains("speling"), "{at}: {error}");
     }
@@ -197,6 +202,8 @@ fn impossible_edits_are_located() {
     refused("/edits/0/stitch/stiffness_n_m", json!(-1));
     refused("/edits/1/unstitch/stitch_ids", json!([]));
     refused("/edits/2/scale_stiffness/factor", json!(0));
+    refused("/edits/3/set_stiffness/stitch_ids", json!([]));
+    refused("/edits/3/set_stiffness/stiffness_n_m", json!(0));
     let mut request: EditRequest = parse(example_edits()).unwrap();
     request.tolerance = f64::NAN;
     assert_eq!(pointer(request.validate()), "/tolerance");

@@ -2,7 +2,8 @@
 
 use crate::mesh::TetMesh;
 
-/// Identifies a stitch within its session; never used twice.
+/// Identifies a stitch within its session. Never used twice along one line of generations; where a
+/// session returns to an earlier generation, the names of what came after it are given out again.
 pub type StitchId = u64;
 
 /// A zero-length spring between two co-located vertices (\[M16\] eq. 4, 5).
@@ -31,6 +32,15 @@ pub enum Edit {
         /// The stitches' names.
         stitch_ids: Vec<StitchId>,
     },
+    /// Remove every stitch.
+    UnstitchAll,
+    /// Give stitches another stiffness; they keep their names.
+    SetStiffness {
+        /// The stitches' names.
+        stitch_ids: Vec<StitchId>,
+        /// Stiffness of each spring from now on, in N/m.
+        stiffness_n_m: f64,
+    },
 }
 
 /// Why an edit is impossible, and which entry of the request is at fault.
@@ -56,9 +66,31 @@ pub enum EditError {
     #[error("edit {edit}, pair {pair}: vertices {a} and {b} are already stitched")]
     AlreadyStitched { edit: usize, pair: usize, a: u32, b: u32 },
     #[error("edit {edit}: stiffness {stiffness_n_m:e} N/m is outside {low:e} to {high:e}")]
-    Stiffness { edit: usize, stiffness_n_m: f64, low: f64, high: f64 },
+    Stiffness { edit: usize, kind: EditKind, stiffness_n_m: f64, low: f64, high: f64 },
     #[error("edit {edit}: there is no stitch {id}")]
-    UnknownStitch { edit: usize, position: usize, id: StitchId },
+    UnknownStitch { edit: usize, kind: EditKind, position: usize, id: StitchId },
+}
+
+/// What an edit does, whatever to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs)] // [`Edit`] says it
+pub enum EditKind {
+    Stitch,
+    Unstitch,
+    UnstitchAll,
+    SetStiffness,
+}
+
+impl Edit {
+    /// What it does.
+    pub fn kind(&self) -> EditKind {
+        match self {
+            Edit::Stitch { .. } => EditKind::Stitch,
+            Edit::Unstitch { .. } => EditKind::Unstitch,
+            Edit::UnstitchAll => EditKind::UnstitchAll,
+            Edit::SetStiffness { .. } => EditKind::SetStiffness,
+        }
+    }
 }
 
 /// Stitch stiffnesses accepted, in N/m. Below, a stitch does nothing measurable; above, rounding in
@@ -95,17 +127,10 @@ impl StitchSet {
             new.stitches.iter().map(|s| sorted(s.pair)).collect();
         let allowed_m = COINCIDENCE_RATIO * mesh.diagonal();
         for (edit, change) in edits.iter().enumerate() {
+            let kind = change.kind();
             match change {
                 Edit::Stitch { pairs, stiffness_n_m } => {
-                    let [low, high] = STIFFNESS_RANGE_N_M;
-                    if !(low..=high).contains(stiffness_n_m) {
-                        return Err(EditError::Stiffness {
-                            edit,
-                            stiffness_n_m: *stiffness_n_m,
-                            low,
-                            high,
-                        });
-                    }
+                    check_stiffness(edit, kind, *stiffness_n_m)?;
                     for (position, &pair) in pairs.iter().enumerate() {
                         check_pair(edit, position, pair, mesh, allowed_m, &is_fixed)?;
                         let [a, b] = pair;
@@ -120,16 +145,48 @@ impl StitchSet {
                 }
                 Edit::Unstitch { stitch_ids } => {
                     for (position, id) in stitch_ids.iter().enumerate() {
-                        let Some(at) = new.stitches.iter().position(|s| s.id == *id) else {
-                            return Err(EditError::UnknownStitch { edit, position, id: *id });
-                        };
+                        let at = new.find(*id).ok_or(EditError::UnknownStitch {
+                            edit,
+                            kind,
+                            position,
+                            id: *id,
+                        })?;
                         taken.remove(&sorted(new.stitches.remove(at).pair));
+                    }
+                }
+                Edit::UnstitchAll => {
+                    new.stitches.clear();
+                    taken.clear();
+                }
+                Edit::SetStiffness { stitch_ids, stiffness_n_m } => {
+                    check_stiffness(edit, kind, *stiffness_n_m)?;
+                    for (position, id) in stitch_ids.iter().enumerate() {
+                        let at = new.find(*id).ok_or(EditError::UnknownStitch {
+                            edit,
+                            kind,
+                            position,
+                            id: *id,
+                        })?;
+                        new.stitches[at].stiffness_n_m = *stiffness_n_m;
                     }
                 }
             }
         }
         let ids = ids.into_iter().filter(|id| new.stitches.iter().any(|s| s.id == *id)).collect();
         Ok((new, ids))
+    }
+
+    /// Where a stitch stands.
+    fn find(&self, id: StitchId) -> Option<usize> {
+        self.stitches.iter().position(|stitch| stitch.id == id)
+    }
+}
+
+fn check_stiffness(edit: usize, kind: EditKind, stiffness_n_m: f64) -> Result<(), EditError> {
+    let [low, high] = STIFFNESS_RANGE_N_M;
+    match (low..=high).contains(&stiffness_n_m) {
+        true => Ok(()),
+        false => Err(EditError::Stiffness { edit, kind, stiffness_n_m, low, high }),
     }
 }
 

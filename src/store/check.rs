@@ -40,7 +40,7 @@ pub(crate) fn create(request: &CreateSession, limits: &Limits) -> Result<(), Sto
 
 pub(crate) fn edit(request: &EditRequest, limits: &Limits) -> Result<(), StoreError> {
     at_most("edits in one request", limits.max_edits_per_request, request.edits.len())?;
-    if request.edits.is_empty() {
+    if request.edits.is_empty() && request.restore.is_none() {
         return Err(InputError::NoEdits.into());
     }
     if !(request.tolerance > 0.0 && request.tolerance < 1.0) {
@@ -51,7 +51,8 @@ pub(crate) fn edit(request: &EditRequest, limits: &Limits) -> Result<(), StoreEr
             Edit::Stitch { pairs, .. } => {
                 at_most("stitches in one edit", limits.max_stitches, pairs.len())?;
             }
-            Edit::Unstitch { stitch_ids } => {
+            Edit::UnstitchAll => {}
+            Edit::Unstitch { stitch_ids } | Edit::SetStiffness { stitch_ids, .. } => {
                 at_most("stitches in one edit", limits.max_stitches, stitch_ids.len())?;
             }
         }
@@ -68,6 +69,8 @@ pub(crate) fn n_stitches(
     let after = edits.iter().fold(n_stitches, |n, edit| match edit {
         Edit::Stitch { pairs, .. } => n + pairs.len(),
         Edit::Unstitch { stitch_ids } => n.saturating_sub(stitch_ids.len()),
+        Edit::UnstitchAll => 0,
+        Edit::SetStiffness { .. } => n,
     });
     at_most("stitches", limits.max_stitches, after)
 }

@@ -129,6 +129,8 @@ pub enum GenerationRef {
 pub struct EditRequest {
     /// The generation the caller means to edit; `None` edits whichever is current.
     pub base_generation: Option<u64>,
+    /// A kept generation to return to first: without edits the next generation is that one again.
+    pub restore: Option<u64>,
     /// How the linear modes follow.
     pub method: Method,
     /// Relative eigenvalue error accepted (see [`sutura_core::build::RebuildParams`]).

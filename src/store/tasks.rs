@@ -7,7 +7,7 @@ use crate::error::StoreError;
 use crate::live::LiveSession;
 use crate::pool::{CancelFlag, catching};
 use crate::prepared::PreparedBodies;
-use crate::session::{EditRequest, Generation};
+use crate::session::{EditRequest, Generation, GenerationRef};
 use std::sync::Arc;
 use std::time::Duration;
 use sutura_core::build::{Artifacts, BuildParams, RebuildParams, build, rebuild};
@@ -83,7 +83,7 @@ pub(crate) fn run_edit(
         }
     };
     let control = TaskControl::reporting(cancel, session, config.work.progress_interval);
-    match catching("the edit", || next_generation(&previous, request, config, &control)) {
+    match catching("the edit", || next_generation(session, &previous, request, config, &control)) {
         Ok(generation) => {
             tracing::info!(
                 generation = generation.number,
@@ -111,11 +111,27 @@ pub(crate) fn run_edit(
 }
 
 fn next_generation(
+    session: &LiveSession,
     previous: &Generation,
     request: &EditRequest,
     config: &StoreConfig,
     control: &dyn Control,
 ) -> Result<Arc<Generation>, StoreError> {
+    let number = previous.number + 1;
+    let restored = match request.restore {
+        Some(number) => Some(session.generation(GenerationRef::Number(number))?),
+        None => None,
+    };
+    if let Some(restored) = restored.as_ref().filter(|_| request.edits.is_empty()) {
+        return Ok(Arc::new(Generation {
+            number,
+            artifacts: restored.artifacts.clone(),
+            made_by: restored.made_by,
+            stitch_ids: Vec::new(),
+            computed_in: control.now(),
+        }));
+    }
+    let previous = restored.as_deref().unwrap_or(previous);
     check::n_stitches(previous.artifacts.stitches().len(), &request.edits, &config.limits)?;
     let params = RebuildParams { method: request.method, tolerance: request.tolerance };
     let (artifacts, stitch_ids) = rebuild(&previous.artifacts, &request.edits, &params, control)?;
@@ -123,7 +139,7 @@ fn next_generation(
         return Err(StoreError::Cancelled);
     }
     Ok(Arc::new(Generation {
-        number: previous.number + 1,
+        number,
         artifacts: Arc::new(artifacts),
         made_by: Some(request.method),
         stitch_ids,

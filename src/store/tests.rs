@@ -132,6 +132,7 @@ async fn ready(store: &Store) -> SessionId {
 fn stitch(pairs: &[[u32; 2]]) -> EditRequest {
     EditRequest {
         base_generation: None,
+        restore: None,
         method: Method::Flexibility,
         tolerance: 1e-4,
         edits: vec![Edit::Stitch { pairs: pairs.to_vec(), stiffness_n_m: 1e5 }],
@@ -581,6 +582,31 @@ async fn a_simulation_that_loses_its_support_ends_and_says_why() {
     assert!(info.error.unwrap().to_string().contains("rigid modes"));
     let refused = store.push_forces(id, vec![pull(1.0)]);
     assert!(matches!(refused, Err(StoreError::NoSimulation)));
+}
+
+#[tokio::test]
+async fn generations_are_undone_redone_and_edited_again() {
+    let store = store();
+    let id = ready(&store).await;
+    let pairs = seam();
+    let first = store.edit(id, stitch(&pairs[..2])).await.unwrap();
+    let second = store.edit(id, stitch(&pairs[2..4])).await.unwrap();
+    let restore = |generation| EditRequest { restore: Some(generation), ..stitch(&[]) };
+    let bare = |generation| EditRequest { edits: Vec::new(), ..restore(generation) };
+
+    let undone = store.edit(id, bare(1)).await.unwrap();
+    assert_eq!(undone.number, 3);
+    assert!(Arc::ptr_eq(&undone.artifacts, &first.artifacts));
+    let redone = store.edit(id, bare(2)).await.unwrap();
+    assert!(Arc::ptr_eq(&redone.artifacts, &second.artifacts));
+
+    let other = EditRequest { restore: Some(0), ..stitch(&pairs[..1]) };
+    let other = store.edit(id, other).await.unwrap();
+    assert_eq!((other.number, other.artifacts.stitches().len()), (5, 1));
+
+    let missing = store.edit(id, bare(77)).await;
+    assert!(matches!(missing, Err(StoreError::NoGeneration { number: 77, .. })));
+    assert_eq!(store.generation(id, GenerationRef::Current).unwrap().number, 5);
 }
 
 #[tokio::test]

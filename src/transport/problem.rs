@@ -2,7 +2,7 @@
 //! errors alike.
 
 use sutura_core::build::BuildError;
-use sutura_core::edit::EditError;
+use sutura_core::edit::{EditError, EditKind};
 use sutura_core::mesh::{MeshError, ReadError, ReadFault};
 use sutura_core::reduced::SimulationError;
 use sutura_proto::Invalid;
@@ -309,10 +309,22 @@ fn edit_pointer(error: &EditError) -> String {
         | EditError::AlreadyStitched { edit, pair, .. } => {
             format!("/edits/{edit}/stitch/pairs/{pair}")
         }
-        EditError::Stiffness { edit, .. } => format!("/edits/{edit}/stitch/stiffness_n_m"),
-        EditError::UnknownStitch { edit, position, .. } => {
-            format!("/edits/{edit}/unstitch/stitch_ids/{position}")
+        EditError::Stiffness { edit, kind, .. } => {
+            format!("/edits/{edit}/{}/stiffness_n_m", member(*kind))
         }
+        EditError::UnknownStitch { edit, kind, position, .. } => {
+            format!("/edits/{edit}/{}/stitch_ids/{position}", member(*kind))
+        }
+    }
+}
+
+/// An edit's member in a request.
+fn member(kind: EditKind) -> &'static str {
+    match kind {
+        EditKind::Stitch => "stitch",
+        EditKind::Unstitch => "unstitch",
+        EditKind::UnstitchAll => "unstitch_all",
+        EditKind::SetStiffness => "set_stiffness",
     }
 }
 
@@ -404,7 +416,12 @@ mod tests {
                 Some("/edits/1/stitch/pairs/2"),
             ),
             (
-                StoreError::Edit(EditError::UnknownStitch { edit: 0, position: 4, id: 9 }),
+                StoreError::Edit(EditError::UnknownStitch {
+                    edit: 0,
+                    kind: EditKind::Unstitch,
+                    position: 4,
+                    id: 9,
+                }),
                 422,
                 Some("/edits/0/unstitch/stitch_ids/4"),
             ),

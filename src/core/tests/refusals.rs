@@ -9,7 +9,7 @@ use sutura_core::build::{
     RebuildParams, Selection,
 };
 use sutura_core::control::{Control, Stage, Uncontrolled};
-use sutura_core::edit::{Edit, EditError};
+use sutura_core::edit::{Edit, EditError, EditKind};
 use sutura_core::material::Material;
 use sutura_core::mesh::TetMesh;
 use sutura_core::testing::{Bar, BarMesh, Cell, Cut};
@@ -135,7 +135,18 @@ fn edits_are_checked_and_a_refused_one_changes_nothing() {
         Edit::Unstitch { stitch_ids: vec![ids[0]] },
         Edit::Unstitch { stitch_ids: vec![ids[1], ids[0]] },
     ]);
-    assert_eq!(error, EditError::UnknownStitch { edit: 1, position: 1, id: ids[0] });
+    let kind = EditKind::Unstitch;
+    assert_eq!(error, EditError::UnknownStitch { edit: 1, kind, position: 1, id: ids[0] });
+    let soften = |id, stiffness_n_m| [Edit::SetStiffness { stitch_ids: vec![id], stiffness_n_m }];
+    let kind = EditKind::SetStiffness;
+    let error = attempt(&soften(99, 1.0));
+    assert_eq!(error, EditError::UnknownStitch { edit: 0, kind, position: 0, id: 99 });
+    for stiffness in [0.0, -1.0, 1e15, 1e-12, f64::NAN] {
+        let error = attempt(&soften(ids[0], stiffness));
+        assert!(matches!(error, EditError::Stiffness { edit: 0, .. }), "{stiffness}");
+    }
+    let error = attempt(&[Edit::UnstitchAll, Edit::Unstitch { stitch_ids: vec![ids[0]] }]);
+    assert!(matches!(error, EditError::UnknownStitch { edit: 1, .. }));
     assert_eq!(body.stitches().len(), 2);
 
     for tolerance in [0.0, 1.0, -1.0, f64::NAN] {

@@ -171,12 +171,30 @@ fn stitching_and_unstitching_returns_the_spectrum() {
                 &Uncontrolled,
             )
             .unwrap();
-            let after = next(&stitched, &[Edit::Unstitch { stitch_ids }], &by(method));
-            assert!(after.stitches().is_empty());
-            assert_eq!(after.n_rigid_modes(), before.n_rigid_modes());
-            let error = spectrum_error(after.eigenvalues_per_s2(), before.eigenvalues_per_s2());
-            assert!(error < 1e-10, "{cut:?} {method:?}: {error:e}");
+            for edit in [Edit::Unstitch { stitch_ids }, Edit::UnstitchAll] {
+                let after = next(&stitched, &[edit], &by(method));
+                assert!(after.stitches().is_empty());
+                assert_eq!(after.n_rigid_modes(), before.n_rigid_modes());
+                let error = spectrum_error(after.eigenvalues_per_s2(), before.eigenvalues_per_s2());
+                assert!(error < 1e-10, "{cut:?} {method:?}: {error:e}");
+            }
         }
+    }
+}
+
+#[test]
+fn a_stitch_whose_stiffness_changes_is_as_one_made_with_it() {
+    for cut in [Cut::HalfDepth, Cut::Through] {
+        let bar = bar(cut);
+        let before = start(&bar, 12);
+        let soft = next(&before, &stitch(&bar.pairs, 1e-2 * STITCH_N_M), &tight());
+        let at_once = next(&before, &stitch(&bar.pairs, STITCH_N_M), &tight());
+        let stitch_ids = soft.stitches().iter().map(|stitch| stitch.id).collect();
+        let change = Edit::SetStiffness { stitch_ids, stiffness_n_m: STITCH_N_M };
+        let changed = next(&soft, &[change], &tight());
+        assert_eq!(changed.stitches(), at_once.stitches());
+        let error = spectrum_error(changed.eigenvalues_per_s2(), at_once.eigenvalues_per_s2());
+        assert!(error < 1e-10, "{cut:?}: {error:e}");
     }
 }
 

@@ -15,6 +15,7 @@ pub(crate) fn request(request: wire::EditRequest) -> Result<EditRequest, Problem
     let edits = request.edits.into_iter().enumerate().map(edit).collect::<Result<_, _>>()?;
     Ok(EditRequest {
         base_generation: request.base_generation,
+        restore: request.restore,
         method: method(request.method),
         tolerance: request.tolerance,
         edits,
@@ -25,6 +26,10 @@ fn edit((position, edit): (usize, wire::Edit)) -> Result<Edit, Problem> {
     match edit {
         wire::Edit::Stitch { pairs, stiffness_n_m } => Ok(Edit::Stitch { pairs, stiffness_n_m }),
         wire::Edit::Unstitch { stitch_ids } => Ok(Edit::Unstitch { stitch_ids }),
+        wire::Edit::UnstitchAll {} => Ok(Edit::UnstitchAll),
+        wire::Edit::SetStiffness { stitch_ids, stiffness_n_m } => {
+            Ok(Edit::SetStiffness { stitch_ids, stiffness_n_m })
+        }
         wire::Edit::ScaleStiffness { .. } => Err(Problem::new(
             Kind::NotSupported,
             "scaling the stiffness of a domain is not supported by this version",
@@ -131,19 +136,25 @@ mod tests {
         let mut wire_request = wire::EditRequest::new(vec![
             wire::Edit::Stitch { pairs: vec![[1, 2], [3, 4]], stiffness_n_m: 10.0 },
             wire::Edit::Unstitch { stitch_ids: vec![7] },
+            wire::Edit::UnstitchAll {},
+            wire::Edit::SetStiffness { stitch_ids: vec![8], stiffness_n_m: 20.0 },
         ]);
         wire_request.base_generation = Some(4);
+        wire_request.restore = Some(2);
         wire_request.method = wire::EditMethod::LowRank;
         let converted = request(wire_request).unwrap();
         assert_eq!(
             converted,
             EditRequest {
                 base_generation: Some(4),
+                restore: Some(2),
                 method: Method::LowRank,
                 tolerance: 1e-4,
                 edits: vec![
                     Edit::Stitch { pairs: vec![[1, 2], [3, 4]], stiffness_n_m: 10.0 },
                     Edit::Unstitch { stitch_ids: vec![7] },
+                    Edit::UnstitchAll,
+                    Edit::SetStiffness { stitch_ids: vec![8], stiffness_n_m: 20.0 },
                 ],
             }
         );
