@@ -221,7 +221,7 @@ async fn bad_edits() {
             "/edits/0",
             json!({"scale_stiffness": {"domain": 9, "factor": 2}}),
             422,
-            "/edits/0",
+            "/edits/0/scale_stiffness/domain",
         ),
     ] {
         let mut document = good.clone();

@@ -1,6 +1,7 @@
 //! Edits: the only way a body changes after it was built.
 
 use crate::mesh::TetMesh;
+use std::collections::BTreeMap;
 
 /// Identifies a stitch within its session. Never used twice along one line of generations; where a
 /// session returns to an earlier generation, the names of what came after it are given out again.
@@ -41,6 +42,13 @@ pub enum Edit {
         /// Stiffness of each spring from now on, in N/m.
         stiffness_n_m: f64,
     },
+    /// Multiply the stiffness of a domain (\[M16\] §5.1).
+    ScaleStiffness {
+        /// The domain's label.
+        domain: i64,
+        /// Relative to the stiffness in force.
+        factor: f64,
+    },
 }
 
 /// Why an edit is impossible, and which entry of the request is at fault.
@@ -69,6 +77,12 @@ pub enum EditError {
     Stiffness { edit: usize, kind: EditKind, stiffness_n_m: f64, low: f64, high: f64 },
     #[error("edit {edit}: there is no stitch {id}")]
     UnknownStitch { edit: usize, kind: EditKind, position: usize, id: StitchId },
+    #[error("edit {edit}: the mesh has no domain {domain}")]
+    UnknownDomain { edit: usize, domain: i64 },
+    #[error(
+        "edit {edit}: domain {domain} would be {factor:e} times as stiff as it was built, which is outside {low:e} to {high:e}"
+    )]
+    StiffnessFactor { edit: usize, domain: i64, factor: f64, low: f64, high: f64 },
 }
 
 /// What an edit does, whatever to.
@@ -79,6 +93,7 @@ pub enum EditKind {
     Unstitch,
     UnstitchAll,
     SetStiffness,
+    ScaleStiffness,
 }
 
 impl Edit {
@@ -89,6 +104,7 @@ impl Edit {
             Edit::Unstitch { .. } => EditKind::Unstitch,
             Edit::UnstitchAll => EditKind::UnstitchAll,
             Edit::SetStiffness { .. } => EditKind::SetStiffness,
+            Edit::ScaleStiffness { .. } => EditKind::ScaleStiffness,
         }
     }
 }
@@ -100,27 +116,39 @@ pub const STIFFNESS_RANGE_N_M: [f64; 2] = [1e-9, 1e12];
 /// Vertices closer than this fraction of the body's diagonal coincide.
 pub const COINCIDENCE_RATIO: f64 = 1e-9;
 
-/// The stitches of one generation, in the order in which they were made.
+/// Factors on a domain's stiffness accepted, all edits so far multiplied: far beyond any tissue, and
+/// far from where the elastic modes of two domains would differ by more than rounding allows.
+pub const STIFFNESS_FACTOR_RANGE: [f64; 2] = [1e-6, 1e6];
+
+/// What edits have made of a body.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct StitchSet {
+pub struct EditState {
+    /// In the order in which they were made.
     stitches: Vec<Stitch>,
     next_id: StitchId,
+    /// By domain label; domains as they were built are not listed.
+    stiffness_factors: BTreeMap<i64, f64>,
 }
 
-impl StitchSet {
+impl EditState {
     /// The stitches in force.
-    pub fn as_slice(&self) -> &[Stitch] {
+    pub fn stitches(&self) -> &[Stitch] {
         &self.stitches
     }
 
-    /// Applies `edits` in order and returns the new set with the names given to new stitches.
+    /// Factors on the stiffness of domains, by label, where they are not 1.
+    pub fn stiffness_factors(&self) -> &BTreeMap<i64, f64> {
+        &self.stiffness_factors
+    }
+
+    /// Applies `edits` in order and returns the new state with the names given to new stitches.
     /// `is_fixed` tells whether a vertex is held. Nothing changes on error.
     pub fn apply(
         &self,
         edits: &[Edit],
         mesh: &TetMesh,
         is_fixed: impl Fn(u32) -> bool,
-    ) -> Result<(StitchSet, Vec<StitchId>), EditError> {
+    ) -> Result<(EditState, Vec<StitchId>), EditError> {
         let mut new = self.clone();
         let mut ids = Vec::new();
         let mut taken: std::collections::BTreeSet<[u32; 2]> =
@@ -170,10 +198,36 @@ impl StitchSet {
                         new.stitches[at].stiffness_n_m = *stiffness_n_m;
                     }
                 }
+                Edit::ScaleStiffness { domain, factor } => {
+                    new.scale_stiffness(edit, *domain, *factor, mesh)?;
+                }
             }
         }
         let ids = ids.into_iter().filter(|id| new.stitches.iter().any(|s| s.id == *id)).collect();
         Ok((new, ids))
+    }
+
+    fn scale_stiffness(
+        &mut self,
+        edit: usize,
+        domain: i64,
+        factor: f64,
+        mesh: &TetMesh,
+    ) -> Result<(), EditError> {
+        if !mesh.domains().contains(&domain) {
+            return Err(EditError::UnknownDomain { edit, domain });
+        }
+        let factor = factor * self.stiffness_factors.get(&domain).copied().unwrap_or(1.0);
+        let [low, high] = STIFFNESS_FACTOR_RANGE;
+        if !(low..=high).contains(&factor) {
+            return Err(EditError::StiffnessFactor { edit, domain, factor, low, high });
+        }
+        if factor == 1.0 {
+            self.stiffness_factors.remove(&domain);
+        } else {
+            self.stiffness_factors.insert(domain, factor);
+        }
+        Ok(())
     }
 
     /// Where a stitch stands.

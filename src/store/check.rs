@@ -51,7 +51,7 @@ pub(crate) fn edit(request: &EditRequest, limits: &Limits) -> Result<(), StoreEr
             Edit::Stitch { pairs, .. } => {
                 at_most("stitches in one edit", limits.max_stitches, pairs.len())?;
             }
-            Edit::UnstitchAll => {}
+            Edit::UnstitchAll | Edit::ScaleStiffness { .. } => {}
             Edit::Unstitch { stitch_ids } | Edit::SetStiffness { stitch_ids, .. } => {
                 at_most("stitches in one edit", limits.max_stitches, stitch_ids.len())?;
             }
@@ -70,7 +70,7 @@ pub(crate) fn n_stitches(
         Edit::Stitch { pairs, .. } => n + pairs.len(),
         Edit::Unstitch { stitch_ids } => n.saturating_sub(stitch_ids.len()),
         Edit::UnstitchAll => 0,
-        Edit::SetStiffness { .. } => n,
+        Edit::SetStiffness { .. } | Edit::ScaleStiffness { .. } => n,
     });
     at_most("stitches", limits.max_stitches, after)
 }

@@ -32,7 +32,6 @@ pub(crate) enum Kind {
     ImpossibleEdit,
     ImpossibleValue,
     ImpossibleSimulation,
-    NotSupported,
     UpgradeRequired,
     Full,
     Internal,
@@ -64,7 +63,6 @@ impl Kind {
         Kind::ImpossibleEdit,
         Kind::ImpossibleValue,
         Kind::ImpossibleSimulation,
-        Kind::NotSupported,
         Kind::UpgradeRequired,
         Kind::Full,
         Kind::Internal,
@@ -98,7 +96,6 @@ impl Kind {
             Kind::ImpossibleEdit => (422, "impossible-edit", "Impossible edit"),
             Kind::ImpossibleValue => (422, "impossible-value", "Impossible value"),
             Kind::ImpossibleSimulation => (422, "impossible-simulation", "Impossible simulation"),
-            Kind::NotSupported => (422, "not-supported", "Not supported"),
             Kind::UpgradeRequired => (426, "upgrade-required", "WebSocket upgrade required"),
             Kind::Full => (429, "full", "As many as allowed exist"),
             Kind::Internal => (500, "internal", "Internal error"),
@@ -315,6 +312,12 @@ fn edit_pointer(error: &EditError) -> String {
         EditError::UnknownStitch { edit, kind, position, .. } => {
             format!("/edits/{edit}/{}/stitch_ids/{position}", member(*kind))
         }
+        EditError::UnknownDomain { edit, .. } => {
+            format!("/edits/{edit}/scale_stiffness/domain")
+        }
+        EditError::StiffnessFactor { edit, .. } => {
+            format!("/edits/{edit}/scale_stiffness/factor")
+        }
     }
 }
 
@@ -325,6 +328,7 @@ fn member(kind: EditKind) -> &'static str {
         EditKind::Unstitch => "unstitch",
         EditKind::UnstitchAll => "unstitch_all",
         EditKind::SetStiffness => "set_stiffness",
+        EditKind::ScaleStiffness => "scale_stiffness",
     }
 }
 
@@ -336,7 +340,10 @@ fn pair_of(error: &EditError) -> Option<usize> {
         | EditError::Apart { pair, .. }
         | EditError::BothFixed { pair, .. }
         | EditError::AlreadyStitched { pair, .. } => Some(*pair),
-        EditError::Stiffness { .. } | EditError::UnknownStitch { .. } => None,
+        EditError::Stiffness { .. }
+        | EditError::UnknownStitch { .. }
+        | EditError::UnknownDomain { .. }
+        | EditError::StiffnessFactor { .. } => None,
     }
 }
 

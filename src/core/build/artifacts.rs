@@ -6,7 +6,7 @@ use crate::assembly::mass::Mass;
 use crate::assembly::sparse::BlockMatrix;
 use crate::control::Stage;
 use crate::cubature::Rule;
-use crate::edit::{Stitch, StitchSet};
+use crate::edit::{EditState, Stitch};
 use crate::factorization::SparseCholesky;
 use crate::linalg;
 use crate::mesh::TetMesh;
@@ -15,6 +15,7 @@ use crate::modes::low_rank::MassInverse;
 use crate::modes::stitched::{FlexibilityColumns, StitchMatrix};
 use crate::reduced::{self, Evaluation, EvaluatorTables, ReducedModel};
 use faer::{Mat, MatRef};
+use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
@@ -52,9 +53,12 @@ pub struct BasisDelta {
     pub w: Vec<f64>,
 }
 
-/// The base body: everything that later edits reuse. Made once, shared by every generation.
+/// The base body: everything that later edits reuse. Made once, shared by every generation until a
+/// domain's stiffness changes.
 pub(super) struct Prepared {
     pub(super) params: BuildParams,
+    /// By which the materials of `params` are stiffer here.
+    pub(super) stiffness_factors: BTreeMap<i64, f64>,
     pub(super) model: FullModel,
     pub(super) mass: Mass,
     /// Made by the first `low_rank` update.
@@ -76,7 +80,7 @@ pub(super) struct Prepared {
 pub struct Artifacts {
     pub(super) prepared: Arc<Prepared>,
     pub(super) columns: FlexibilityColumns,
-    pub(super) stitches: StitchSet,
+    pub(super) state: EditState,
     pub(super) n_rigid_modes: usize,
     pub(super) modes: LinearModes,
     pub(super) residuals: Vec<f64>,
@@ -116,7 +120,11 @@ impl Artifacts {
     }
     /// The stitches in force.
     pub fn stitches(&self) -> &[Stitch] {
-        self.stitches.as_slice()
+        self.state.stitches()
+    }
+    /// Factors by which domains are stiffer than they were built, by label, where not 1.
+    pub fn stiffness_factors(&self) -> &BTreeMap<i64, f64> {
+        self.state.stiffness_factors()
     }
     /// Three times the number of vertices that may move.
     pub fn n_free_dofs(&self) -> usize {
@@ -272,7 +280,7 @@ impl Artifacts {
         let r = self.basis_size();
         let q = Mat::from_fn(r, 1, |i, _| q[i]);
         let u = linalg::product(basis, q.as_ref());
-        let stretch = StitchMatrix::new(model, self.stitches.as_slice()).transpose_times(basis);
+        let stretch = StitchMatrix::new(model, self.state.stitches()).transpose_times(basis);
         let stitched = linalg::gram(stretch.as_ref(), stretch.as_ref());
         let stitch_force = linalg::small_product(stitched.as_ref(), q.as_ref());
         let stitch_energy: f64 = q.col(0).transpose() * stitch_force.col(0);

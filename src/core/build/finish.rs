@@ -7,7 +7,7 @@ use crate::basis::{WeightedDerivatives, mass_pca};
 use crate::control::{self, Control, Stage};
 use crate::cubature::poses::{PoseSource, Shapes};
 use crate::cubature::{self, EnergyNorm, Rule, Samples, Training};
-use crate::edit::StitchSet;
+use crate::edit::EditState;
 use crate::linalg;
 use crate::modes::LinearModes;
 use crate::modes::stitched::{FlexibilityColumns, StitchMatrix};
@@ -53,7 +53,7 @@ pub(super) struct DerivativeSet {
 pub(super) struct Draft {
     pub(super) prepared: Arc<Prepared>,
     pub(super) columns: FlexibilityColumns,
-    pub(super) stitches: StitchSet,
+    pub(super) state: EditState,
     pub(super) n_rigid_modes: usize,
     pub(super) modes: LinearModes,
     /// Eigenvalues by which the modes are weighed; not always their own.
@@ -100,7 +100,7 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
     }
     clock.finish(Stage::Basis)?;
 
-    let stretch = StitchMatrix::new(&prepared.model, draft.stitches.as_slice())
+    let stretch = StitchMatrix::new(&prepared.model, draft.state.stitches())
         .transpose_times(basis.as_ref());
     let (rule, cubature, trained_error) = match &params.cubature {
         None => (Rule::exact(prepared.model.corners().len()), None, 0.0),
@@ -144,7 +144,7 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
     Ok(Artifacts {
         prepared,
         columns: draft.columns,
-        stitches: draft.stitches,
+        state: draft.state,
         n_rigid_modes: draft.n_rigid_modes,
         modes: draft.modes,
         residuals: draft.residuals,

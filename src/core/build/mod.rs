@@ -16,8 +16,9 @@ use crate::assembly::FullModel;
 use crate::assembly::mass::Mass;
 use crate::assembly::sparse::Pattern;
 use crate::control::{self, Cancelled, Control, Stage};
+use crate::cubature::Rule;
 use crate::derivatives::{self, NEW_DERIVATIVE_MODES, REUSED_SHARE};
-use crate::edit::{Edit, StitchId, StitchSet};
+use crate::edit::{Edit, EditState, StitchId};
 use crate::factorization::SymbolicCholesky;
 use crate::linalg::{self, DenseError};
 use crate::mesh::TetMesh;
@@ -30,6 +31,7 @@ use artifacts::Prepared;
 use faer::{Mat, MatRef};
 use finish::{DerivativeSet, Draft, finish};
 use spectrum::{Spectrum, lowest_spectrum};
+use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
@@ -70,7 +72,48 @@ pub fn build(
             "{count} vertices belong to no tet and never move (the first is {first})"
         ));
     }
-    let model = FullModel::new(mesh, &params.materials, &params.fixed_vertices);
+    let (base, residuals, derivatives) = prepare(mesh, params, &BTreeMap::new(), &mut clock)?;
+    let Base { prepared, columns } = base;
+    if prepared.modes.eigenvalues.len() < params.n_modes {
+        warnings.push(format!(
+            "{} modes were asked for, but the body has only {}",
+            params.n_modes,
+            prepared.modes.eigenvalues.len()
+        ));
+    }
+    let kept = prepared.modes.lowest(params.n_modes);
+    let draft = Draft {
+        columns,
+        state: EditState::default(),
+        n_rigid_modes: prepared.rigid.ncols(),
+        weighing: kept.eigenvalues.clone(),
+        modes: kept,
+        residuals,
+        derivatives: vec![derivatives],
+        reuse: None,
+        warnings,
+        prepared,
+    };
+    finish(draft, clock)
+}
+
+/// What an edit starts from.
+struct Base {
+    prepared: Arc<Prepared>,
+    /// Of seams and of stitches made so far.
+    columns: FlexibilityColumns,
+}
+
+/// The base body with domains `stiffness_factors` times as stiff as `params` has them, its residuals
+/// (of the modes kept) and its derivatives.
+fn prepare(
+    mesh: Arc<TetMesh>,
+    params: &BuildParams,
+    stiffness_factors: &BTreeMap<i64, f64>,
+    clock: &mut StageClock<'_>,
+) -> Result<(Base, Vec<f64>, DerivativeSet), BuildError> {
+    let materials = params::scaled_materials(&mesh, params, stiffness_factors)?;
+    let model = FullModel::new(mesh, &materials, &params.fixed_vertices);
     if model.n() == 0 {
         return Err(BuildError::NothingFree);
     }
@@ -95,15 +138,8 @@ pub fn build(
         rigid.as_ref(),
         symbolic,
         params.n_modes,
-        &mut clock,
+        clock,
     )?;
-    if modes.eigenvalues.len() < params.n_modes {
-        warnings.push(format!(
-            "{} modes were asked for, but the body has only {}",
-            params.n_modes,
-            modes.eigenvalues.len()
-        ));
-    }
     let none = FlexibilityColumns::new();
     let columns = flexibility_columns(&model, &factor, &none, params.seams.iter().copied());
     if !params.seams.is_empty() {
@@ -121,14 +157,14 @@ pub fn build(
         Some(&modes),
         params.n_derivative_modes,
         REUSED_SHARE,
-        control,
+        clock.control,
     )?;
     clock.finish(Stage::Derivatives)?;
     drop(stitched);
 
-    let n_rigid_modes = rigid.ncols();
     let prepared = Arc::new(Prepared {
         params: params.clone(),
+        stiffness_factors: stiffness_factors.clone(),
         model,
         mass,
         mass_inverse: OnceLock::new(),
@@ -140,19 +176,7 @@ pub fn build(
         derivative_loads: loads,
         derivative_flexibility: flexibility,
     });
-    let draft = Draft {
-        prepared,
-        columns,
-        stitches: StitchSet::default(),
-        n_rigid_modes,
-        weighing: kept.eigenvalues.clone(),
-        modes: kept,
-        residuals,
-        derivatives: vec![set],
-        reuse: None,
-        warnings,
-    };
-    finish(draft, clock)
+    Ok((Base { prepared, columns }, residuals, set))
 }
 
 /// Orders and analyses the stiffness's pattern: work for one thread, beside the assembly.
@@ -176,27 +200,44 @@ pub fn rebuild(
 ) -> Result<(Artifacts, Vec<StitchId>), BuildError> {
     params::check_fraction("tolerance", params.tolerance)?;
     let model = &previous.prepared.model;
-    let (stitches, ids) =
-        previous.stitches.apply(edits, model.mesh(), |v| model.free_index(v).is_none())?;
+    let (state, ids) =
+        previous.state.apply(edits, model.mesh(), |v| model.free_index(v).is_none())?;
     let mut clock = StageClock::start(control);
+    let base = base_for(previous, &state, &mut clock)?;
+    let reuse = previous.cubature.map(|_| (previous.rule.clone(), previous.trained_error));
     let draft = match params.method {
-        Method::FromScratch => from_scratch(previous, stitches, &mut clock)?,
-        Method::Flexibility => update(previous, stitches, Some(params.tolerance), &mut clock)?,
-        Method::LowRank => update(previous, stitches, None, &mut clock)?,
+        Method::FromScratch => from_scratch(base, state, &mut clock)?,
+        Method::Flexibility => update(base, state, reuse, Some(params.tolerance), &mut clock)?,
+        Method::LowRank => update(base, state, reuse, None, &mut clock)?,
     };
     Ok((finish(draft, clock)?, ids))
 }
 
+/// The base body that `state` is an update of: the previous one, or, where a domain's stiffness has
+/// changed (a change of full rank, for which nothing prepared is left), a new one.
+fn base_for(
+    previous: &Artifacts,
+    state: &EditState,
+    clock: &mut StageClock<'_>,
+) -> Result<Base, BuildError> {
+    let prepared = &previous.prepared;
+    if prepared.stiffness_factors == *state.stiffness_factors() {
+        return Ok(Base { prepared: prepared.clone(), columns: previous.columns.clone() });
+    }
+    let mesh = prepared.model.mesh().clone();
+    Ok(prepare(mesh, &prepared.params, state.stiffness_factors(), clock)?.0)
+}
+
 /// Everything up to the derivatives, from a factorization of the stitched stiffness itself.
 fn from_scratch(
-    previous: &Artifacts,
-    stitches: StitchSet,
+    base: Base,
+    state: EditState,
     clock: &mut StageClock<'_>,
 ) -> Result<Draft, BuildError> {
-    let prepared = &previous.prepared;
+    let prepared = &base.prepared;
     let Prepared { params, model, mass, .. } = &**prepared;
-    let a = StitchMatrix::new(model, stitches.as_slice());
-    let pairs: Vec<[u32; 2]> = stitches.as_slice().iter().map(|s| s.pair).collect();
+    let a = StitchMatrix::new(model, state.stitches());
+    let pairs: Vec<[u32; 2]> = state.stitches().iter().map(|s| s.pair).collect();
     let pattern = Arc::new(model.pattern(&pairs));
     let (symbolic, stiffness) = rayon::join(
         || analyse(&pattern, model),
@@ -222,8 +263,8 @@ fn from_scratch(
     clock.finish(Stage::Derivatives)?;
     Ok(Draft {
         prepared: prepared.clone(),
-        columns: previous.columns.clone(),
-        stitches,
+        columns: base.columns,
+        state,
         n_rigid_modes: rigid.ncols(),
         weighing: kept.eigenvalues.clone(),
         modes: kept,
@@ -235,21 +276,22 @@ fn from_scratch(
 }
 
 /// Everything up to the derivatives, from the base body's factorization: by flexibility to
-/// `tolerance`, or by the low-rank update if there is none.
+/// `tolerance`, or by the low-rank update if there is none. `reuse` is the cubature rule in use.
 fn update(
-    previous: &Artifacts,
-    stitches: StitchSet,
+    base: Base,
+    state: EditState,
+    reuse: Option<(Rule, f64)>,
     tolerance: Option<f64>,
     clock: &mut StageClock<'_>,
 ) -> Result<Draft, BuildError> {
-    let prepared = &previous.prepared;
-    let Prepared { model, mass, factor, sigma, rigid, modes: base, .. } = &**prepared;
+    let prepared = &base.prepared;
+    let Prepared { model, mass, factor, sigma, rigid, modes, .. } = &**prepared;
     let control = clock.control;
     let mut warnings = Vec::new();
-    let pairs = stitches.as_slice().iter().map(|s| s.pair);
-    let columns = flexibility_columns(model, factor, &previous.columns, pairs);
+    let pairs = state.stitches().iter().map(|s| s.pair);
+    let columns = flexibility_columns(model, factor, &base.columns, pairs);
     let stitched =
-        StitchedStiffness::new(model, &prepared.stiffness, factor, stitches.as_slice(), &columns)?;
+        StitchedStiffness::new(model, &prepared.stiffness, factor, state.stitches(), &columns)?;
     control::check(control)?;
     let left = rigid_left(stitched.stitch_matrix(), rigid.as_ref())?;
     let n_modes = prepared.params.n_modes;
@@ -274,7 +316,7 @@ fn update(
                 sigma: *sigma,
                 rigid: rigid.as_ref(),
                 n_rigid_left: left.ncols(),
-                base,
+                base: modes,
                 n_modes,
                 tolerance,
             };
@@ -309,13 +351,13 @@ fn update(
     Ok(Draft {
         prepared: prepared.clone(),
         columns,
-        stitches,
+        state,
         n_rigid_modes,
         modes: kept,
         weighing,
         residuals,
         derivatives: vec![new, reused],
-        reuse: previous.cubature.map(|_| (previous.rule.clone(), previous.trained_error)),
+        reuse,
         warnings,
     })
 }

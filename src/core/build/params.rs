@@ -12,6 +12,7 @@ use crate::material::Material;
 use crate::mesh::TetMesh;
 use crate::modes::ModesError;
 use crate::reduced::RayleighDamping;
+use std::collections::BTreeMap;
 
 /// Cubature training (\[M16\] §4.3).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -186,6 +187,25 @@ pub(super) fn check(mesh: &TetMesh, params: &BuildParams) -> Result<(), BuildErr
         check_fraction("cubature.tolerance", cubature.tolerance)?;
     }
     Ok(())
+}
+
+/// The materials of `params` with the domains that have a factor as much stiffer.
+pub(super) fn scaled_materials(
+    mesh: &TetMesh,
+    params: &BuildParams,
+    stiffness_factors: &BTreeMap<i64, f64>,
+) -> Result<Vec<Material>, BuildError> {
+    let scaled = mesh.domains().iter().zip(&params.materials).map(|(domain, material)| {
+        match stiffness_factors.get(domain) {
+            None => Ok(*material),
+            Some(factor) => material.scaled(*factor).map_err(|_| BuildError::BadParameter {
+                name: "young_modulus_pa",
+                value: material.young_modulus_pa() * factor,
+                rule: "positive and finite",
+            }),
+        }
+    });
+    scaled.collect()
 }
 
 /// Checks that `value` lies strictly between 0 and 1.

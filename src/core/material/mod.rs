@@ -42,6 +42,11 @@ impl Material {
         Ok(Material { young_modulus_pa, poisson_ratio, density_kg_m3 })
     }
 
+    /// The same material, `factor` times as stiff.
+    pub fn scaled(&self, factor: f64) -> Result<Material, MaterialError> {
+        Material::stvk(self.young_modulus_pa * factor, self.poisson_ratio, self.density_kg_m3)
+    }
+
     /// Young's modulus in Pa.
     pub fn young_modulus_pa(&self) -> f64 {
         self.young_modulus_pa

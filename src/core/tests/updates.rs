@@ -1,13 +1,16 @@
 //! Updated modes against modes computed from scratch.
 
-use crate::bodies::{STITCH_N_M, bar, by, params, spectrum_error, stitch};
+use crate::bodies::{STITCH_N_M, bar, by, params, soft, spectrum_error, stitch};
 use faer::Mat;
 use std::f64::consts::TAU;
 use std::sync::Arc;
-use sutura_core::build::{self, Artifacts, MassKind, Method, RebuildParams};
+use sutura_core::build::{
+    self, Artifacts, BuildError, BuildParams, MassKind, Method, RebuildParams,
+};
 use sutura_core::control::Uncontrolled;
-use sutura_core::edit::Edit;
+use sutura_core::edit::{Edit, EditError};
 use sutura_core::linalg;
+use sutura_core::mesh::TetMesh;
 use sutura_core::modes::stitched::StitchMatrix;
 use sutura_core::testing::{Bar, BarMesh, Cell, Cut};
 
@@ -195,6 +198,54 @@ fn a_stitch_whose_stiffness_changes_is_as_one_made_with_it() {
         assert_eq!(changed.stitches(), at_once.stitches());
         let error = spectrum_error(changed.eigenvalues_per_s2(), at_once.eigenvalues_per_s2());
         assert!(error < 1e-10, "{cut:?}: {error:e}");
+    }
+}
+
+#[test]
+fn a_scaled_domain_is_as_one_built_of_the_stiffer_material() {
+    let bar = bar(Cut::HalfDepth);
+    // Two domains, so that scaling one is no mere change of units.
+    let length = |t: &[u32; 4]| {
+        t.iter().map(|&v| bar.mesh.vertices()[v as usize][0]).sum::<f64>() / 4.0
+    };
+    let labels = bar.mesh.tets().iter().map(|t| i64::from(length(t) > 0.13)).collect();
+    let vertices = bar.mesh.vertices().to_vec();
+    let mesh = Arc::new(TetMesh::new(vertices, bar.mesh.tets().to_vec(), labels).unwrap());
+    let with = |factor: f64| {
+        let materials = vec![soft(), soft().scaled(factor).unwrap()];
+        let params = BuildParams { materials, ..params(&bar, 12) };
+        build::build(mesh.clone(), &params, &Uncontrolled).unwrap()
+    };
+    let scale = |factor| Edit::ScaleStiffness { domain: 1, factor };
+    let before = with(1.0);
+    let closing = stitch(&bar.pairs, STITCH_N_M);
+    let truth = next(&with(20.0), &closing, &by(Method::FromScratch));
+    let stitched = next(&before, &closing, &tight());
+    for params in [tight(), by(Method::FromScratch)] {
+        let scaled = next(&stitched, &[scale(4.0), scale(5.0)], &params);
+        assert_eq!(scaled.stiffness_factors()[&1], 20.0);
+        assert_eq!(scaled.stitches(), stitched.stitches());
+        let error = spectrum_error(scaled.eigenvalues_per_s2(), truth.eigenvalues_per_s2());
+        assert!(error < 1e-9, "{error:e}");
+        // The reduced model has the stiffer material too.
+        let q = vec![1e-4; scaled.basis_size()];
+        let (reduced, exact) = (scaled.model().evaluate(&q), scaled.evaluate_exact(&q));
+        assert!((reduced.energy_j / exact.energy_j - 1.0).abs() < 1e-9);
+
+        let back = next(&scaled, &[scale(0.05), Edit::UnstitchAll], &params);
+        assert!(back.stiffness_factors().is_empty());
+        let error = spectrum_error(back.eigenvalues_per_s2(), before.eigenvalues_per_s2());
+        assert!(error < 1e-10, "{error:e}");
+    }
+    for (factor, domain) in [(0.0, 1), (-1.0, 1), (f64::NAN, 1), (1e30, 1), (2.0, 9)] {
+        let edit = Edit::ScaleStiffness { domain, factor };
+        let refused = build::rebuild(&stitched, &[edit], &tight(), &Uncontrolled).unwrap_err();
+        let is_right = match refused {
+            BuildError::Edit(EditError::StiffnessFactor { edit: 0, domain: 1, .. }) => domain == 1,
+            BuildError::Edit(EditError::UnknownDomain { edit: 0, domain: 9 }) => domain == 9,
+            _ => false,
+        };
+        assert!(is_right, "{factor} on {domain}");
     }
 }
 

@@ -1,6 +1,6 @@
 //! Edit requests and replies.
 
-use crate::problem::{Kind, Problem};
+use crate::problem::Problem;
 use std::collections::BTreeMap;
 use std::time::Duration;
 use sutura_core::build::{CubatureReport, CubatureSource, Method};
@@ -12,7 +12,7 @@ use sutura_store::{EditRequest, Generation};
 /// The request as the store takes it, once it could concern some body.
 pub(crate) fn request(request: wire::EditRequest) -> Result<EditRequest, Problem> {
     request.validate()?;
-    let edits = request.edits.into_iter().enumerate().map(edit).collect::<Result<_, _>>()?;
+    let edits = request.edits.into_iter().map(edit).collect();
     Ok(EditRequest {
         base_generation: request.base_generation,
         restore: request.restore,
@@ -22,19 +22,15 @@ pub(crate) fn request(request: wire::EditRequest) -> Result<EditRequest, Problem
     })
 }
 
-fn edit((position, edit): (usize, wire::Edit)) -> Result<Edit, Problem> {
+fn edit(edit: wire::Edit) -> Edit {
     match edit {
-        wire::Edit::Stitch { pairs, stiffness_n_m } => Ok(Edit::Stitch { pairs, stiffness_n_m }),
-        wire::Edit::Unstitch { stitch_ids } => Ok(Edit::Unstitch { stitch_ids }),
-        wire::Edit::UnstitchAll {} => Ok(Edit::UnstitchAll),
+        wire::Edit::Stitch { pairs, stiffness_n_m } => Edit::Stitch { pairs, stiffness_n_m },
+        wire::Edit::Unstitch { stitch_ids } => Edit::Unstitch { stitch_ids },
+        wire::Edit::UnstitchAll {} => Edit::UnstitchAll,
         wire::Edit::SetStiffness { stitch_ids, stiffness_n_m } => {
-            Ok(Edit::SetStiffness { stitch_ids, stiffness_n_m })
+            Edit::SetStiffness { stitch_ids, stiffness_n_m }
         }
-        wire::Edit::ScaleStiffness { .. } => Err(Problem::new(
-            Kind::NotSupported,
-            "scaling the stiffness of a domain is not supported by this version",
-        )
-        .at(format!("/edits/{position}"))),
+        wire::Edit::ScaleStiffness { domain, factor } => Edit::ScaleStiffness { domain, factor },
     }
 }
 
@@ -138,6 +134,7 @@ mod tests {
             wire::Edit::Unstitch { stitch_ids: vec![7] },
             wire::Edit::UnstitchAll {},
             wire::Edit::SetStiffness { stitch_ids: vec![8], stiffness_n_m: 20.0 },
+            wire::Edit::ScaleStiffness { domain: 2, factor: 100.0 },
         ]);
         wire_request.base_generation = Some(4);
         wire_request.restore = Some(2);
@@ -155,6 +152,7 @@ mod tests {
                     Edit::Unstitch { stitch_ids: vec![7] },
                     Edit::UnstitchAll,
                     Edit::SetStiffness { stitch_ids: vec![8], stiffness_n_m: 20.0 },
+                    Edit::ScaleStiffness { domain: 2, factor: 100.0 },
                 ],
             }
         );
@@ -167,17 +165,6 @@ mod tests {
             assert_eq!(wire_method(core), wire_method_in);
             assert_eq!(serde_json::json!(wire_method_in), method_name(core));
         }
-    }
-
-    #[test]
-    fn scaling_stiffness_is_refused_plainly_and_in_its_place() {
-        let edits = vec![
-            wire::Edit::Unstitch { stitch_ids: vec![7] },
-            wire::Edit::ScaleStiffness { domain: 2, factor: 100.0 },
-        ];
-        let problem = request(wire::EditRequest::new(edits)).unwrap_err();
-        assert_eq!((problem.kind, problem.status()), (Kind::NotSupported, 422));
-        assert_eq!(problem.pointer.as_deref(), Some("/edits/1"));
     }
 
     #[test]

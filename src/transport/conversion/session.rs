@@ -8,7 +8,7 @@ use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use sutura_core::build::{BuildParams, CubatureParams, MassKind, RayleighDamping, Selection};
-use sutura_core::edit::{Edit, StitchSet};
+use sutura_core::edit::{Edit, EditState};
 use sutura_core::material::Material;
 use sutura_core::mesh::{MeshFile, MeshFormat, MeshLimits, TetMesh};
 use sutura_proto::session::{
@@ -147,7 +147,7 @@ fn check_seams(config: &SessionConfig, mesh: &TetMesh) -> Result<(), Problem> {
     let (positions, pairs): (Vec<usize>, Vec<[u32; 2]>) =
         config.seams.iter().copied().enumerate().filter(is_new).unzip();
     let stitch = Edit::Stitch { pairs, stiffness_n_m: 1.0 };
-    match StitchSet::default().apply(&[stitch], mesh, |vertex| fixed.contains(&vertex)) {
+    match EditState::default().apply(&[stitch], mesh, |vertex| fixed.contains(&vertex)) {
         Ok(_) => Ok(()),
         Err(error) => Err(problem::of_seam(&error, &positions)),
     }

@@ -138,7 +138,6 @@ const ROUTES: &[Route] = &[
             Kind::Cancelled,
             Kind::ImpossibleEdit,
             Kind::ImpossibleValue,
-            Kind::NotSupported,
         ],
     },
     array(
