@@ -78,8 +78,8 @@ impl Method {
                 return Some(match before {
                     None => training.n_points as f64,
                     Some(before) => {
-                        let share = (before.error / error).ln()
-                            / (before.error / training.error).ln();
+                        let share =
+                            (before.error / error).ln() / (before.error / training.error).ln();
                         let [low, high] = [before, training].map(|t| (t.n_points as f64).ln());
                         (low + share * (high - low)).exp()
                     }

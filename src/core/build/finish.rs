@@ -100,8 +100,8 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
     }
     clock.finish(Stage::Basis)?;
 
-    let stretch = StitchMatrix::new(&prepared.model, draft.state.stitches())
-        .transpose_times(basis.as_ref());
+    let stretch =
+        StitchMatrix::new(&prepared.model, draft.state.stitches()).transpose_times(basis.as_ref());
     let (rule, cubature, trained_error) = match &params.cubature {
         None => (Rule::exact(prepared.model.corners().len()), None, 0.0),
         Some(cubature) => {

@@ -496,8 +496,11 @@ fn low_rank_modes(
     let a = stitched.stitch_matrix();
     let all = low_rank::update(u.as_ref(), &lambda, a, inverse, n_rigid_left + n_modes)?;
     let count = all.eigenvalues.len().saturating_sub(n_rigid_left);
+    let shapes = all.shapes.subcols(n_rigid_left, count);
+    // Through the inverse root of a Gram matrix they come orthonormal to 1e-7 only.
+    let gram = linalg::SmallCholesky::new(prepared.mass.inner(shapes, shapes).as_ref())?;
     Ok(LinearModes {
-        shapes: all.shapes.subcols(n_rigid_left, count).to_owned(),
+        shapes: linalg::product(shapes, gram.whitening().as_ref()),
         eigenvalues: all.eigenvalues[n_rigid_left..].to_vec(),
     })
 }

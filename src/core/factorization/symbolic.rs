@@ -175,6 +175,10 @@ impl SymbolicCholesky {
         let Range { start, end } = piece.supernodes;
         self.supernodes[start].columns.start..self.supernodes[end - 1].columns.end
     }
+    /// Numbers in the update matrix of a supernode.
+    pub(super) fn update_area(&self, supernode: usize) -> usize {
+        self.width_and_depth(supernode).1.pow(2)
+    }
     /// Degrees of freedom in the columns and in the rows below of a supernode.
     pub(super) fn width_and_depth(&self, supernode: usize) -> (usize, usize) {
         let Supernode { columns, rows, .. } = &self.supernodes[supernode];

@@ -205,9 +205,8 @@ fn a_stitch_whose_stiffness_changes_is_as_one_made_with_it() {
 fn a_scaled_domain_is_as_one_built_of_the_stiffer_material() {
     let bar = bar(Cut::HalfDepth);
     // Two domains, so that scaling one is no mere change of units.
-    let length = |t: &[u32; 4]| {
-        t.iter().map(|&v| bar.mesh.vertices()[v as usize][0]).sum::<f64>() / 4.0
-    };
+    let length =
+        |t: &[u32; 4]| t.iter().map(|&v| bar.mesh.vertices()[v as usize][0]).sum::<f64>() / 4.0;
     let labels = bar.mesh.tets().iter().map(|t| i64::from(length(t) > 0.13)).collect();
     let vertices = bar.mesh.vertices().to_vec();
     let mesh = Arc::new(TetMesh::new(vertices, bar.mesh.tets().to_vec(), labels).unwrap());
