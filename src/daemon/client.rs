@@ -173,6 +173,7 @@ pub(crate) async fn stitch(args: StitchArgs) -> Result<(), ClientError> {
     }
     let request = EditRequest {
         base_generation: args.base_generation,
+        restore: None,
         method: args.method.into(),
         tolerance: args.tolerance,
         edits: vec![Edit::Stitch { pairs, stiffness_n_m: args.stiffness }],
