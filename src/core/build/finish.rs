@@ -34,6 +34,9 @@ const RETRAINING_FACTOR: f64 = 2.0;
 /// basis column, and the points are already chosen.
 const REFITTING_SHARE: f64 = 0.4;
 
+/// Columns of the basis that the stiffness multiplies at a time, for the sake of memory.
+const COLUMNS_AT_A_TIME: usize = 16;
+
 /// Relative residual of a modal derivative above which the caller is told.
 const DERIVATIVE_RESIDUAL_LIMIT: f64 = 1e-4;
 
@@ -179,11 +182,15 @@ impl Fit<'_> {
         let CubatureParams { n_points, n_training_poses, tolerance, seed, selection } =
             *self.params;
         let Prepared { model, mass, stiffness, .. } = self.prepared;
-        let mut reduced_stiffness =
-            linalg::gram(self.basis, stiffness.multiply(self.basis).as_ref());
-        reduced_stiffness += linalg::gram(self.stretch, self.stretch);
+        let mut reduced_stiffness = linalg::gram(self.stretch, self.stretch);
+        for first in (0..self.basis.ncols()).step_by(COLUMNS_AT_A_TIME) {
+            let count = COLUMNS_AT_A_TIME.min(self.basis.ncols() - first);
+            let product = stiffness.multiply(self.basis.subcols(first, count));
+            let mut columns = reduced_stiffness.as_mut().subcols_mut(first, count);
+            columns += linalg::gram(self.basis, product.as_ref());
+        }
         let norm = EnergyNorm::new(reduced_stiffness.as_ref())?;
-        let poses = PoseSource::new(&self.shapes, self.basis, mass.multiply(self.basis).as_ref());
+        let poses = PoseSource::new(&self.shapes, self.basis, mass);
         control::check(control)?;
         let samples = |count: usize, seed: u64| {
             Samples::new(model, self.basis, &norm, poses.random_poses(count, seed), control)

@@ -8,6 +8,7 @@
 //! the static displacements that 120 points then give are no better (median error 3.7, 0.7, 4.0 and
 //! 0.7 % on the small stomach, fork, ball and plant; 3.6, 1.1, 4.4 and 0.6 % with these poses).
 
+use crate::assembly::mass::Mass;
 use crate::linalg;
 use crate::modes::LinearModes;
 use faer::{Mat, MatRef};
@@ -49,12 +50,8 @@ pub struct PoseSource<'a> {
 }
 
 impl<'a> PoseSource<'a> {
-    /// `weighted_basis` is M·U (n×r).
-    pub fn new(
-        shapes: &'a Shapes<'a>,
-        basis: MatRef<'_, f64>,
-        weighted_basis: MatRef<'_, f64>,
-    ) -> PoseSource<'a> {
+    /// `basis` is M-orthonormal (n×r).
+    pub fn new(shapes: &'a Shapes<'a>, basis: MatRef<'_, f64>, mass: &Mass) -> PoseSource<'a> {
         let n_vertices = basis.nrows() / 3;
         let stride = n_vertices.div_ceil(MOST_PROBES).max(1);
         let probes = Mat::from_fn(3 * n_vertices.div_ceil(stride), basis.ncols(), |row, column| {
@@ -63,8 +60,8 @@ impl<'a> PoseSource<'a> {
         PoseSource {
             shapes,
             probes,
-            modes: linalg::gram(weighted_basis, shapes.modes.shapes.as_ref()),
-            derivatives: linalg::gram(weighted_basis, shapes.derivatives),
+            modes: mass.inner(basis, shapes.modes.shapes.as_ref()),
+            derivatives: mass.inner(basis, shapes.derivatives),
         }
     }
 
