@@ -116,8 +116,8 @@ pub const STIFFNESS_RANGE_N_M: [f64; 2] = [1e-9, 1e12];
 /// Vertices closer than this fraction of the body's diagonal coincide.
 pub const COINCIDENCE_RATIO: f64 = 1e-9;
 
-/// Factors on a domain's stiffness accepted, all edits so far multiplied: far beyond any tissue, and
-/// far from where the elastic modes of two domains would differ by more than rounding allows.
+/// Factors on a domain's stiffness accepted, all edits so far multiplied: beyond, the eigenvalues of a
+/// soft domain would come near the rounding of K's largest entries.
 pub const STIFFNESS_FACTOR_RANGE: [f64; 2] = [1e-6, 1e6];
 
 /// What edits have made of a body.
@@ -156,6 +156,10 @@ impl EditState {
         let allowed_m = COINCIDENCE_RATIO * mesh.diagonal();
         for (edit, change) in edits.iter().enumerate() {
             let kind = change.kind();
+            let named = |state: &EditState, position, id| {
+                let at = state.stitches.iter().position(|stitch| stitch.id == id);
+                at.ok_or(EditError::UnknownStitch { edit, kind, position, id })
+            };
             match change {
                 Edit::Stitch { pairs, stiffness_n_m } => {
                     check_stiffness(edit, kind, *stiffness_n_m)?;
@@ -173,12 +177,7 @@ impl EditState {
                 }
                 Edit::Unstitch { stitch_ids } => {
                     for (position, id) in stitch_ids.iter().enumerate() {
-                        let at = new.find(*id).ok_or(EditError::UnknownStitch {
-                            edit,
-                            kind,
-                            position,
-                            id: *id,
-                        })?;
+                        let at = named(&new, position, *id)?;
                         taken.remove(&sorted(new.stitches.remove(at).pair));
                     }
                 }
@@ -189,12 +188,7 @@ impl EditState {
                 Edit::SetStiffness { stitch_ids, stiffness_n_m } => {
                     check_stiffness(edit, kind, *stiffness_n_m)?;
                     for (position, id) in stitch_ids.iter().enumerate() {
-                        let at = new.find(*id).ok_or(EditError::UnknownStitch {
-                            edit,
-                            kind,
-                            position,
-                            id: *id,
-                        })?;
+                        let at = named(&new, position, *id)?;
                         new.stitches[at].stiffness_n_m = *stiffness_n_m;
                     }
                 }
@@ -228,11 +222,6 @@ impl EditState {
             self.stiffness_factors.insert(domain, factor);
         }
         Ok(())
-    }
-
-    /// Where a stitch stands.
-    fn find(&self, id: StitchId) -> Option<usize> {
-        self.stitches.iter().position(|stitch| stitch.id == id)
     }
 }
 

@@ -67,7 +67,7 @@ pub enum Method {
     FromScratch,
 }
 
-/// Parameters of [`rebuild`](super::rebuild)(super::rebuild).
+/// Parameters of [`rebuild`](super::rebuild).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RebuildParams {
     /// How to update the modes.

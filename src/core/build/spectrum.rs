@@ -26,9 +26,9 @@ pub(super) struct Spectrum {
     pub(super) residuals: Vec<f64>,
 }
 
-/// Factorizes, by the analysis of the stiffness's pattern, and finds the lowest elastic modes. A body without rigid motions needs no shift; for
-/// the others σ is an estimate of the first elastic eigenvalue, chosen again from the true one if it
-/// was far off.
+/// Factorizes, by the analysis of the stiffness's pattern, and finds the lowest elastic modes. A body
+/// without rigid motions needs no shift; for the others σ is an estimate of the first elastic
+/// eigenvalue, chosen again from the true one if it was far off.
 pub(super) fn lowest_spectrum(
     model: &FullModel,
     mass: &Mass,

@@ -52,7 +52,7 @@ struct Solver<'a, const N: usize> {
     x: Vec<Row<N>>,
 }
 
-/// Vertices that one task copies: their rows stay in the first-level cache.
+/// Vertices that one task copies: their rows stay in the second-level cache.
 const VERTICES_PER_TASK: usize = 64;
 
 impl<'a, const N: usize> Solver<'a, N> {
