@@ -30,7 +30,7 @@ const STAGES: [&str; 11] = [
 ];
 
 /// Modules of the core that belong to no stage and import none.
-const SHARED_BY_STAGES: [&str; 2] = ["control", "linalg"];
+const SHARED_BY_STAGES: [&str; 3] = ["control", "dictionary", "linalg"];
 
 /// What the pure core may not reach for.
 const IMPURE: [&str; 8] = [

@@ -34,6 +34,11 @@ pub enum PcaMethod {
 /// Squared length below which a direction of unit columns is dependent.
 const DEPENDENT: f64 = 1e-13;
 
+/// The same where nothing is multiplied out that could be orthonormalized again: an orthonormal
+/// combination of columns dependent to within d has coefficients of 1/√d, which magnify rounding by
+/// 1/d.
+const RESOLVED: f64 = 1e-9;
+
 /// A combination shorter than this fraction of the longest is rounding noise.
 const NOISE: f64 = 1e-13;
 
@@ -46,6 +51,30 @@ const OVERSAMPLING: usize = 8;
 
 /// Power iterations (two were measured to capture no more).
 const POWER_ITERATIONS: usize = 1;
+
+/// Weights of modes (λ₁/λ_i) and of derivatives (λ₁²/(λ_iλ_j)), at most 1 (\[B12\] eq. 18).
+pub fn weights(eigenvalues: &[f64], of_derivatives: &[[f64; 2]]) -> Vec<f64> {
+    let first = eigenvalues.iter().copied().fold(f64::INFINITY, f64::min);
+    let modes = eigenvalues.iter().map(|l| first / l);
+    let derivatives = of_derivatives.iter().map(|[li, lj]| first * first / (li * lj));
+    modes.chain(derivatives).map(|weight| weight.min(1.0)).collect()
+}
+
+/// The method of snapshots on columns known by their Gram matrix alone (p×p): coefficients (p × at most
+/// `size`) of an M-orthonormal basis.
+pub fn pca_of_gram(
+    gram: MatRef<'_, f64>,
+    weights: &[f64],
+    size: usize,
+) -> Result<Mat<f64>, DenseError> {
+    let (basis, _) = principal_coefficients(gram, weights, size, RESOLVED)?;
+    let inner = linalg::small_product(gram, basis.as_ref());
+    let inner = linalg::small_product(basis.transpose(), inner.as_ref());
+    let turn = SmallCholesky::new(inner.as_ref())?.whitening();
+    let mut basis = linalg::small_product(basis.as_ref(), turn.as_ref());
+    orient(&mut basis);
+    Ok(basis)
+}
 
 /// A derivative's column together with the eigenvalues of the two modes it belongs to.
 pub struct WeightedDerivatives<'a> {
@@ -64,29 +93,30 @@ pub fn mass_pca(
     size: usize,
     method: PcaMethod,
 ) -> Result<(Mat<f64>, Vec<f64>), DenseError> {
-    let first = modes.eigenvalues.iter().copied().fold(f64::INFINITY, f64::min);
-    let mut parts = vec![modes.shapes.as_ref()];
-    let mut weights: Vec<f64> = modes.eigenvalues.iter().map(|l| first / l).collect();
-    for group in derivatives {
-        parts.push(group.shapes);
-        weights.extend(group.eigenvalues.iter().map(|[li, lj]| first * first / (li * lj)));
-    }
-    weights.iter_mut().for_each(|weight| *weight = weight.min(1.0));
+    let shapes = derivatives.iter().map(|group| group.shapes);
+    let parts = std::iter::once(modes.shapes.as_ref()).chain(shapes).collect();
+    let of_derivatives: Vec<[f64; 2]> =
+        derivatives.iter().flat_map(|group| group.eigenvalues.iter().copied()).collect();
+    let weights = weights(&modes.eigenvalues, &of_derivatives);
     let columns = Columns { mass, parts };
     let (mut basis, singular) = match method {
         PcaMethod::Snapshots => snapshots(&columns, &weights, size)?,
         PcaMethod::Randomized => randomized(&columns, &weights, size)?,
     };
-    for j in 0..basis.ncols() {
-        // A sign that does not depend on the decomposition: the largest entry is positive.
-        let column = basis.col_as_slice_mut(j);
+    orient(&mut basis);
+    let largest = singular.first().copied().unwrap_or(1.0).max(f64::MIN_POSITIVE);
+    Ok((basis, singular.into_iter().map(|s| s / largest).collect()))
+}
+
+/// Gives columns signs that do not depend on a decomposition: the largest entry is positive.
+fn orient(x: &mut Mat<f64>) {
+    for j in 0..x.ncols() {
+        let column = x.col_as_slice_mut(j);
         let peak = column.iter().fold(0.0f64, |m, x| if x.abs() > m.abs() { *x } else { m });
         if peak < 0.0 {
             column.iter_mut().for_each(|x| *x = -*x);
         }
     }
-    let largest = singular.first().copied().unwrap_or(1.0).max(f64::MIN_POSITIVE);
-    Ok((basis, singular.into_iter().map(|s| s / largest).collect()))
 }
 
 /// The columns D (n×p) side by side, where they lie.
@@ -159,17 +189,30 @@ fn snapshots(
     size: usize,
 ) -> Result<(Mat<f64>, Vec<f64>), DenseError> {
     let gram = columns.gram();
+    let (coefficients, singular) = principal_coefficients(gram.as_ref(), weights, size, DEPENDENT)?;
+    let basis = columns.times(coefficients.as_ref());
+    Ok((orthonormalized(columns.mass, basis)?, singular))
+}
+
+/// Coefficients (p × at most `size`) of the leading principal components of columns D with this Gram
+/// matrix DᵀMD, and all singular values; unit directions shorter than `dependent` (squared) are
+/// left out.
+fn principal_coefficients(
+    gram: MatRef<'_, f64>,
+    weights: &[f64],
+    size: usize,
+    dependent: f64,
+) -> Result<(Mat<f64>, Vec<f64>), DenseError> {
     let lengths: Vec<f64> = (0..gram.ncols()).map(|j| gram[(j, j)].max(0.0).sqrt()).collect();
     // Q = DC is M-orthonormal and QᵀMD = CᵀDᵀMD.
-    let orthonormal = linalg::orthonormal_coefficients(gram.as_ref(), DEPENDENT)?;
-    let mut r = linalg::small_product(orthonormal.transpose(), gram.as_ref());
+    let orthonormal = linalg::orthonormal_coefficients(gram, dependent)?;
+    let mut r = linalg::small_product(orthonormal.transpose(), gram);
     for (j, scale) in scales(&lengths, weights).into_iter().enumerate() {
         r.col_mut(j).iter_mut().for_each(|x| *x *= scale);
     }
     let (singular, left) = linalg::left_singular(r.as_ref())?;
     let leading = left.subcols(0, size.min(left.ncols()));
-    let basis = columns.times(linalg::small_product(orthonormal.as_ref(), leading).as_ref());
-    Ok((orthonormalized(columns.mass, basis)?, singular))
+    Ok((linalg::small_product(orthonormal.as_ref(), leading), singular))
 }
 
 /// Columns that are M-orthonormal but for rounding, made so; the first change least.

@@ -13,6 +13,7 @@ pub mod build;
 pub mod control;
 pub mod cubature;
 pub mod derivatives;
+pub mod dictionary;
 pub mod edit;
 pub mod factorization;
 pub mod linalg;

@@ -98,6 +98,19 @@ pub fn add_product(y: MatMut<'_, f64>, alpha: f64, x: MatRef<'_, f64>, c: MatRef
         .for_each(|(y, x)| matmul(y, Accum::Add, x, c, alpha, Par::Seq));
 }
 
+/// `Y += Σ X_i·C_i` with tall X_i (n×k_i) and small C_i (k_i×l), Y being read and written once.
+pub fn add_products(y: MatMut<'_, f64>, x: &[MatRef<'_, f64>], c: &[MatRef<'_, f64>]) {
+    assert_eq!(x.len(), c.len());
+    let n = y.nrows();
+    y.par_row_chunks_mut(ROW_CHUNK).enumerate().for_each(|(chunk, mut y)| {
+        let start = chunk * ROW_CHUNK;
+        let rows = ROW_CHUNK.min(n - start);
+        for (x, c) in x.iter().zip(c).filter(|(x, _)| x.ncols() > 0) {
+            matmul(y.as_mut(), Accum::Add, x.subrows(start, rows), *c, 1.0, Par::Seq);
+        }
+    });
+}
+
 /// `X·C` with X tall (n×k) and C small (k×l).
 pub fn product(x: MatRef<'_, f64>, c: MatRef<'_, f64>) -> Mat<f64> {
     let mut y = Mat::zeros(x.nrows(), c.ncols());
@@ -158,6 +171,9 @@ impl SmallCholesky {
     /// `A⁻¹B`.
     pub fn solve(&self, b: MatRef<'_, f64>) -> Mat<f64> {
         use faer::prelude::Solve;
+        if b.nrows() == 0 || b.ncols() == 0 {
+            return b.to_owned();
+        }
         self.0.solve(b)
     }
 
@@ -217,6 +233,31 @@ pub fn concatenate(parts: &[MatRef<'_, f64>]) -> Mat<f64> {
         at += part.ncols();
     }
     all
+}
+
+/// The rows of `parts` one below the other.
+pub fn stacked(parts: &[MatRef<'_, f64>]) -> Mat<f64> {
+    let columns = parts.first().map_or(0, |p| p.ncols());
+    let rows = parts.iter().map(|p| p.nrows()).sum();
+    let mut all = Mat::zeros(rows, columns);
+    let mut at = 0;
+    for part in parts {
+        all.as_mut().subrows_mut(at, part.nrows()).copy_from(part);
+        at += part.nrows();
+    }
+    all
+}
+
+/// A symmetric matrix (k×k) grown by the block column `column` (m×(m − k)), of whose lower square the
+/// symmetric part is taken.
+pub fn bordered_symmetric(old: MatRef<'_, f64>, column: MatRef<'_, f64>) -> Mat<f64> {
+    let (k, m) = (old.ncols(), column.nrows());
+    Mat::from_fn(m, m, |i, j| match (i < k, j < k) {
+        (true, true) => old[(i, j)],
+        (true, false) => column[(i, j - k)],
+        (false, true) => column[(j, i - k)],
+        (false, false) => 0.5 * (column[(i, j - k)] + column[(j, i - k)]),
+    })
 }
 
 /// Calls `f(j, column)` for every column of a column-major matrix, in parallel. Also where a sweep is

@@ -352,13 +352,25 @@ impl FullModel {
         );
     }
 
-    /// Displacements of several vectors (n×k) at the four corners of `tet`: 12 rows, corner-major.
-    pub fn corner_rows(&self, tet: usize, x: MatRef<'_, f64>) -> Mat<f64> {
-        let corners = self.corners[tet];
-        Mat::from_fn(12, x.ncols(), |row, column| {
-            let v = corners[row / 3];
-            if v == NOT_FREE { 0.0 } else { x[(3 * v as usize + row % 3, column)] }
+    /// The degrees of freedom at the four corners of `tet`, corner-major; `None` where one is fixed.
+    pub fn corner_dofs(&self, tet: usize) -> [Option<usize>; 12] {
+        std::array::from_fn(|i| {
+            let v = self.corners[tet][i / 3];
+            (v != NOT_FREE).then_some(3 * v as usize + i % 3)
         })
+    }
+
+    /// Loads of unit acceleration along each axis (n×3), in kg.
+    pub fn translation_loads(&self) -> Mat<f64> {
+        let masses = self.lumped_mass_kg();
+        let free = self.free_vertices();
+        Mat::from_fn(
+            self.n(),
+            3,
+            |i, axis| {
+                if i % 3 == axis { masses[free[i / 3] as usize] } else { 0.0 }
+            },
+        )
     }
 
     /// Bytes held.

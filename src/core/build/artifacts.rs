@@ -6,17 +6,19 @@ use crate::assembly::mass::Mass;
 use crate::assembly::sparse::BlockMatrix;
 use crate::control::Stage;
 use crate::cubature::Rule;
+use crate::dictionary::{Block, Combination};
 use crate::edit::{EditState, Stitch};
 use crate::factorization::SparseCholesky;
 use crate::linalg;
 use crate::mesh::TetMesh;
-use crate::modes::LinearModes;
+use crate::modes::AuditedSpectrum;
 use crate::modes::low_rank::MassInverse;
+use crate::modes::seams::Seams;
 use crate::modes::stitched::{FlexibilityColumns, StitchMatrix};
 use crate::reduced::{self, Evaluation, EvaluatorTables, ReducedModel};
 use faer::{Mat, MatRef};
-use std::collections::BTreeMap;
-use std::sync::{Arc, OnceLock};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, OnceLock, PoisonError, RwLock};
 use std::time::Duration;
 
 /// Where the cubature rule of a generation came from.
@@ -67,13 +69,73 @@ pub(super) struct Prepared {
     /// Factor of K + σM.
     pub(super) factor: SparseCholesky,
     pub(super) sigma: f64,
-    /// M-orthonormal rigid modes (n×k).
-    pub(super) rigid: Mat<f64>,
-    /// Elastic modes, guards included.
-    pub(super) modes: LinearModes,
-    /// −(H:φ_i)φ_j of the lowest base modes and K_σ⁻¹ of them: those that updates reuse (n×p each).
-    pub(super) derivative_loads: Mat<f64>,
-    pub(super) derivative_flexibility: Mat<f64>,
+    /// X: M-orthonormal rigid modes, then elastic ones with guards (n×k each).
+    pub(super) x: [Arc<Block>; 2],
+    /// Eigenvalues of the elastic modes, and their residuals.
+    pub(super) spectrum: AuditedSpectrum,
+    /// What is prepared for stitches, beside the load cases of derivatives: a cache that grows.
+    seams: RwLock<Arc<Seams>>,
+}
+
+impl Prepared {
+    /// `seams` hold the load cases, and mostly no pairs yet.
+    #[allow(clippy::too_many_arguments)] // each once, at one place
+    pub(super) fn new(
+        params: BuildParams,
+        stiffness_factors: BTreeMap<i64, f64>,
+        model: FullModel,
+        mass: Mass,
+        stiffness: BlockMatrix,
+        factor: SparseCholesky,
+        sigma: f64,
+        x: [Arc<Block>; 2],
+        spectrum: AuditedSpectrum,
+        seams: Seams,
+    ) -> Prepared {
+        Prepared {
+            params,
+            stiffness_factors,
+            model,
+            mass,
+            mass_inverse: OnceLock::new(),
+            stiffness,
+            factor,
+            sigma,
+            x,
+            spectrum,
+            seams: RwLock::new(Arc::new(seams)),
+        }
+    }
+
+    /// Rigid modes (n×k).
+    pub(super) fn rigid(&self) -> MatRef<'_, f64> {
+        self.x[0].columns.as_ref()
+    }
+
+    /// Elastic modes with guards (n×k).
+    pub(super) fn modes(&self) -> MatRef<'_, f64> {
+        self.x[1].columns.as_ref()
+    }
+
+    /// θ = 1/(λ + σ) of X.
+    pub(super) fn theta(&self) -> Vec<f64> {
+        let rigid = std::iter::repeat_n(0.0, self.rigid().ncols());
+        let lambda = rigid.chain(self.spectrum.eigenvalues.iter().copied());
+        lambda.map(|lambda| (lambda + self.sigma).recip()).collect()
+    }
+
+    /// What is prepared now.
+    pub(super) fn seams(&self) -> Arc<Seams> {
+        self.seams.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Puts larger seams in place; of two made at the same time the larger stays.
+    pub(super) fn offer_seams(&self, seams: Arc<Seams>) {
+        let mut kept = self.seams.write().unwrap_or_else(PoisonError::into_inner);
+        if (seams.len(), seams.cases().len()) > (kept.len(), kept.cases().len()) {
+            *kept = seams;
+        }
+    }
 }
 
 /// One generation of a prepared body. Immutable; shared by `Arc`.
@@ -82,9 +144,9 @@ pub struct Artifacts {
     pub(super) columns: FlexibilityColumns,
     pub(super) state: EditState,
     pub(super) n_rigid_modes: usize,
-    pub(super) modes: LinearModes,
-    pub(super) residuals: Vec<f64>,
-    pub(super) basis: Mat<f64>,
+    pub(super) spectrum: AuditedSpectrum,
+    pub(super) modes: Combination,
+    pub(super) basis: Combination,
     pub(super) rule: Rule,
     pub(super) cubature: Option<CubatureReport>,
     /// Validation error of the rule when it was last trained.
@@ -144,27 +206,31 @@ impl Artifacts {
     }
     /// Eigenvalues λ = ω² of the elastic modes in 1/s², ascending.
     pub fn eigenvalues_per_s2(&self) -> &[f64] {
-        &self.modes.eigenvalues
+        &self.spectrum.eigenvalues
     }
     /// Frequencies √λ/2π of the elastic modes.
     pub fn frequencies_hz(&self) -> Vec<f64> {
         let hz = |lambda: &f64| lambda.max(0.0).sqrt() / std::f64::consts::TAU;
-        self.modes.eigenvalues.iter().map(hz).collect()
+        self.spectrum.eigenvalues.iter().map(hz).collect()
     }
     /// For each mode its relative residual in the norm of the flexibility
     /// ([`crate::modes::relative_residuals`]), or the larger one that the eigensolver knows
     /// ([`crate::modes::lanczos::AuditedModes::residuals`]): its eigenvalue is wrong by about the
     /// square of it.
     pub fn residuals(&self) -> &[f64] {
-        &self.residuals
+        &self.spectrum.residuals
+    }
+    /// Estimated relative errors of the eigenvalues.
+    pub fn error_estimates(&self) -> &[f64] {
+        &self.spectrum.error_estimates
     }
     /// Number of elastic modes kept.
     pub fn n_modes(&self) -> usize {
-        self.modes.eigenvalues.len()
+        self.spectrum.eigenvalues.len()
     }
     /// Number of columns of the basis (at most the size asked for).
     pub fn basis_size(&self) -> usize {
-        self.basis.ncols()
+        self.basis.n_columns()
     }
     /// The cubature rule's report, if the body has one.
     pub fn cubature(&self) -> Option<&CubatureReport> {
@@ -179,6 +245,22 @@ impl Artifacts {
         &self.warnings
     }
 
+    /// Names of the blocks of columns that modes and basis are combinations of.
+    pub fn dictionary_blocks(&self) -> Vec<u64> {
+        let of = |shapes: &Combination| -> Vec<u64> {
+            shapes.dictionary().blocks().iter().map(|block| block.id).collect()
+        };
+        let all: BTreeSet<u64> = of(&self.modes).into_iter().chain(of(&self.basis)).collect();
+        all.into_iter().collect()
+    }
+
+    /// Names of the blocks of columns that every generation of the base body shares.
+    pub fn shared_blocks(&self) -> Vec<u64> {
+        let seams = self.prepared.seams();
+        let blocks = self.prepared.x.iter().chain(seams.blocks()).chain(&seams.cases().blocks);
+        blocks.map(|block| block.id).collect()
+    }
+
     /// Bytes held by this generation, shared parts included.
     pub fn memory_bytes(&self) -> usize {
         let base = &self.prepared;
@@ -186,35 +268,38 @@ impl Artifacts {
             + base.mass.bytes()
             + base.stiffness.bytes()
             + base.factor.bytes()
-            + linalg::bytes(&base.rigid)
-            + linalg::bytes(&base.modes.shapes)
-            + linalg::bytes(&base.derivative_loads)
-            + linalg::bytes(&base.derivative_flexibility)
+            + base.x.iter().map(|x| linalg::bytes(&x.columns)).sum::<usize>()
+            + base.seams().bytes()
             + self.columns.values().map(|c| linalg::bytes(c)).sum::<usize>()
-            + linalg::bytes(&self.modes.shapes)
-            + linalg::bytes(&self.basis)
+            + self.modes.bytes()
+            + self.basis.bytes()
             + self.model.bytes()
     }
 
     /// Elastic mode `i` over all vertices, vertex-major: 3·n_vertices numbers, fixed ones 0.
     pub fn mode(&self, i: usize) -> Vec<f64> {
-        self.prepared.model.expand(self.modes.shapes.col_as_slice(i))
+        self.column(&self.modes, i)
     }
     /// Basis column `i` over all vertices, vertex-major: 3·n_vertices numbers, fixed ones 0.
     pub fn basis_column(&self, i: usize) -> Vec<f64> {
-        self.prepared.model.expand(self.basis.col_as_slice(i))
+        self.column(&self.basis, i)
+    }
+    fn column(&self, of: &Combination, i: usize) -> Vec<f64> {
+        let column: Vec<f64> = of.dense().col(i).iter().copied().collect();
+        self.prepared.model.expand(&column)
     }
     /// The basis over the free degrees of freedom (n×r).
     pub fn basis(&self) -> MatRef<'_, f64> {
-        self.basis.as_ref()
+        self.basis.dense()
     }
     /// The r × 3 rows of the basis at one vertex: `rows[i]` is column `i`'s displacement there.
     pub fn basis_rows(&self, vertex: u32) -> Vec<[f64; 3]> {
         match self.prepared.model.free_index(vertex) {
             None => vec![[0.0; 3]; self.basis_size()],
-            Some(v) => (0..self.basis_size())
-                .map(|i| std::array::from_fn(|axis| self.basis[(3 * v + axis, i)]))
-                .collect(),
+            Some(v) => {
+                let rows = self.basis.rows(&[0, 1, 2].map(|axis| Some(3 * v + axis)));
+                rows.col_iter().map(|c| std::array::from_fn(|axis| c[axis])).collect()
+            }
         }
     }
 
@@ -226,7 +311,7 @@ impl Artifacts {
     /// `transfer` with q_new = transfer · q_old: ŪᵀMU_old, r_new × r_old, row-major. Both must be
     /// generations of one build.
     pub fn transfer_from(&self, old: &Artifacts) -> Vec<f64> {
-        rows(&self.prepared.mass.inner(self.basis.as_ref(), old.basis.as_ref()))
+        rows(&self.prepared.mass.inner(self.basis(), old.basis()))
     }
 
     /// What a client that holds the basis of `old` needs to make this one.
@@ -235,10 +320,10 @@ impl Artifacts {
     /// than 1e-7 lies outside are within single precision and left out.
     pub fn delta_from(&self, old: &Artifacts) -> Result<BasisDelta, linalg::DenseError> {
         let mass = &self.prepared.mass;
-        let weighted = mass.multiply(self.basis.as_ref());
-        let inside = linalg::gram(old.basis.as_ref(), weighted.as_ref());
-        let mut outside = self.basis.clone();
-        linalg::add_product(outside.as_mut(), -1.0, old.basis.as_ref(), inside.as_ref());
+        let weighted = mass.multiply(self.basis());
+        let inside = linalg::gram(old.basis(), weighted.as_ref());
+        let mut outside = self.basis().to_owned();
+        linalg::add_product(outside.as_mut(), -1.0, old.basis(), inside.as_ref());
         let gram = mass.inner(outside.as_ref(), outside.as_ref());
         let (values, vectors) = linalg::symmetric_eigen(gram.as_ref())?;
         let first = values.partition_point(|&v| v <= 1e-14);
@@ -269,14 +354,14 @@ impl Artifacts {
     }
     /// The evaluator as plain arrays, for a client that steps on its own.
     pub fn evaluator_tables(&self) -> EvaluatorTables {
-        reduced::tables(&self.prepared.model, &self.rule, self.basis.as_ref(), &self.model)
+        reduced::tables(&self.prepared.model, &self.rule, &self.basis, &self.model)
     }
 
     /// Energy, force and stiffness at `q` (r numbers) summed over every tet: the oracle of the
     /// cubature.
     pub fn evaluate_exact(&self, q: &[f64]) -> Evaluation {
         let model = &self.prepared.model;
-        let basis = self.basis.as_ref();
+        let basis = self.basis();
         let r = self.basis_size();
         let q = Mat::from_fn(r, 1, |i, _| q[i]);
         let u = linalg::product(basis, q.as_ref());

@@ -3,16 +3,16 @@
 use super::StageClock;
 use super::artifacts::{Artifacts, CubatureReport, CubatureSource, Prepared};
 use super::params::{BuildError, CubatureParams};
-use crate::basis::{WeightedDerivatives, mass_pca};
+use super::span::{Span, Subspace};
 use crate::control::{self, Control, Stage};
 use crate::cubature::poses::{PoseSource, Shapes};
 use crate::cubature::{self, EnergyNorm, Rule, Samples, Training};
+use crate::dictionary::Combination;
 use crate::edit::EditState;
 use crate::linalg;
-use crate::modes::LinearModes;
-use crate::modes::stitched::{FlexibilityColumns, StitchMatrix};
+use crate::modes::AuditedSpectrum;
+use crate::modes::stitched::FlexibilityColumns;
 use crate::reduced::ReducedModel;
-use faer::{Mat, MatRef};
 use std::sync::Arc;
 
 /// Poses for validation: this share of the training poses, and at least so many.
@@ -40,90 +40,53 @@ const COLUMNS_AT_A_TIME: usize = 16;
 /// Relative residual of a modal derivative above which the caller is told.
 const DERIVATIVE_RESIDUAL_LIMIT: f64 = 1e-4;
 
-/// Modal derivatives and where they come from.
-pub(super) struct DerivativeSet {
-    /// n×p.
-    pub(super) shapes: Mat<f64>,
-    /// The two modes of each.
-    pub(super) pairs: Vec<[usize; 2]>,
-    /// Their eigenvalues.
-    pub(super) eigenvalues: Vec<[f64; 2]>,
-    /// Worst relative residual of the solve.
-    pub(super) residual: f64,
-}
-
 /// A generation up to its derivatives.
 pub(super) struct Draft {
     pub(super) prepared: Arc<Prepared>,
     pub(super) columns: FlexibilityColumns,
     pub(super) state: EditState,
     pub(super) n_rigid_modes: usize,
-    pub(super) modes: LinearModes,
+    pub(super) spectrum: AuditedSpectrum,
     /// Eigenvalues by which the modes are weighed; not always their own.
     pub(super) weighing: Vec<f64>,
-    pub(super) residuals: Vec<f64>,
-    /// The first set belongs to the modes of this generation.
-    pub(super) derivatives: Vec<DerivativeSet>,
+    pub(super) span: Span,
+    /// Worst relative residual of the derivatives.
+    pub(super) derivative_residual: f64,
     /// The cubature rule to reuse, and its validation error when it was trained.
     pub(super) reuse: Option<(Rule, f64)>,
     pub(super) warnings: Vec<String>,
 }
 
 /// Completes a draft.
-pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Artifacts, BuildError> {
-    let prepared = draft.prepared.clone();
+pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifacts, BuildError> {
+    let Draft { prepared, state, weighing, derivative_residual, mut warnings, .. } = draft;
     let params = &prepared.params;
-    let worst = draft.derivatives.iter().map(|set| set.residual).fold(0.0, f64::max);
-    if worst > DERIVATIVE_RESIDUAL_LIMIT {
-        draft.warnings.push(format!("modal derivatives have a relative residual of {worst:.1e}"));
+    if derivative_residual > DERIVATIVE_RESIDUAL_LIMIT {
+        warnings.push(format!(
+            "modal derivatives have a relative residual of {derivative_residual:.1e}"
+        ));
     }
-
-    // The modes go by their weights until the end.
-    std::mem::swap(&mut draft.modes.eigenvalues, &mut draft.weighing);
-    let weighed = &draft.modes;
-    let groups: Vec<WeightedDerivatives<'_>> = draft
-        .derivatives
-        .iter()
-        .map(|set| WeightedDerivatives {
-            shapes: set.shapes.as_ref(),
-            eigenvalues: set.eigenvalues.clone(),
-        })
-        .collect();
-    let (basis, _) = mass_pca(&prepared.mass, weighed, &groups, params.basis_size, params.pca)?;
-    if basis.ncols() < params.basis_size {
-        draft.warnings.push(format!(
-            "the basis has {} columns instead of {}: modes and derivatives span no more",
-            basis.ncols(),
+    let subspace = draft.span.reduce(&prepared, state.stitches(), &weighing)?;
+    let size = subspace.basis.n_columns();
+    if size < params.basis_size {
+        warnings.push(format!(
+            "the basis has {size} columns instead of {}: modes and derivatives span no more",
             params.basis_size
         ));
     }
-    let finite = |m: &Mat<f64>| (0..m.ncols()).all(|j| m.col(j).iter().all(|x| x.is_finite()));
-    if !finite(&basis) || !finite(&draft.modes.shapes) {
+    if ![&subspace.basis, &subspace.modes].into_iter().all(Combination::is_finite) {
         return Err(BuildError::NonFinite { what: "the basis" });
     }
     clock.finish(Stage::Basis)?;
 
-    let stretch =
-        StitchMatrix::new(&prepared.model, draft.state.stitches()).transpose_times(basis.as_ref());
+    let Subspace { basis, stretch, .. } = &subspace;
     let (rule, cubature, trained_error) = match &params.cubature {
         None => (Rule::exact(prepared.model.corners().len()), None, 0.0),
         Some(cubature) => {
-            let shapes = Shapes {
-                modes: weighed,
-                derivatives: draft.derivatives[0].shapes.as_ref(),
-                pairs: &draft.derivatives[0].pairs,
-                diagonal_m: prepared.model.mesh().diagonal(),
-            };
-            let fit = Fit {
-                prepared: &prepared,
-                basis: basis.as_ref(),
-                stretch: stretch.as_ref(),
-                shapes,
-                params: cubature,
-            };
-            let (rule, report, trained_error) = fit.rule(draft.reuse.take(), clock.control)?;
+            let fit = Fit::new(&prepared, &subspace, &weighing, cubature)?;
+            let (rule, report, trained_error) = fit.rule(draft.reuse, clock.control)?;
             if report.validation_error > cubature.tolerance {
-                draft.warnings.push(format!(
+                warnings.push(format!(
                     "the cubature's relative force error is {:.1e}, above the tolerance of {:.1e}: \
                      more points would help",
                     report.validation_error, cubature.tolerance
@@ -137,41 +100,70 @@ pub(super) fn finish(mut draft: Draft, mut clock: StageClock<'_>) -> Result<Arti
     let model = ReducedModel::new(
         &prepared.model,
         &rule,
-        basis.as_ref(),
+        basis,
         stretch.as_ref(),
         params.damping,
         draft.n_rigid_modes,
     );
     clock.finish(Stage::Reduction)?;
-    std::mem::swap(&mut draft.modes.eigenvalues, &mut draft.weighing);
     Ok(Artifacts {
-        prepared,
         columns: draft.columns,
-        state: draft.state,
         n_rigid_modes: draft.n_rigid_modes,
-        modes: draft.modes,
-        residuals: draft.residuals,
-        basis,
+        spectrum: draft.spectrum,
+        modes: subspace.modes,
+        basis: subspace.basis,
         rule,
         cubature,
         trained_error,
         model: Arc::new(model),
         timings: clock.timings,
-        warnings: draft.warnings,
+        prepared,
+        state,
+        warnings,
     })
 }
 
 /// Everything a cubature rule is fitted to.
 struct Fit<'a> {
     prepared: &'a Prepared,
-    basis: MatRef<'a, f64>,
-    /// AᵀU (3s×r).
-    stretch: MatRef<'a, f64>,
-    shapes: Shapes<'a>,
+    basis: &'a Combination,
+    norm: EnergyNorm,
+    poses: PoseSource<'a>,
     params: &'a CubatureParams,
 }
 
-impl Fit<'_> {
+impl<'a> Fit<'a> {
+    fn new(
+        prepared: &'a Prepared,
+        subspace: &'a Subspace,
+        eigenvalues: &'a [f64],
+        params: &'a CubatureParams,
+    ) -> Result<Fit<'a>, BuildError> {
+        let Subspace { basis, stretch, stiffness, .. } = subspace;
+        let mut reduced_stiffness = linalg::gram(stretch.as_ref(), stretch.as_ref());
+        match stiffness {
+            Some(stiffness) => reduced_stiffness += stiffness,
+            None => {
+                let basis = basis.dense();
+                for first in (0..basis.ncols()).step_by(COLUMNS_AT_A_TIME) {
+                    let count = COLUMNS_AT_A_TIME.min(basis.ncols() - first);
+                    let product = prepared.stiffness.multiply(basis.subcols(first, count));
+                    let mut columns = reduced_stiffness.as_mut().subcols_mut(first, count);
+                    columns += linalg::gram(basis, product.as_ref());
+                }
+            }
+        }
+        let shapes = Shapes {
+            modes: subspace.of_modes.clone(),
+            eigenvalues,
+            derivatives: subspace.of_derivatives.clone(),
+            pairs: &subspace.pairs,
+            diagonal_m: prepared.model.mesh().diagonal(),
+        };
+        let norm = EnergyNorm::new(reduced_stiffness.as_ref())?;
+        Ok(Fit { prepared, basis, norm, poses: PoseSource::new(shapes, basis), params })
+    }
+
     /// The rule in use from now on, with its validation error when it was trained. `reuse` is kept
     /// while its error on held-out poses is acceptable, else refitted, else replaced.
     fn rule(
@@ -181,19 +173,10 @@ impl Fit<'_> {
     ) -> Result<(Rule, CubatureReport, f64), BuildError> {
         let CubatureParams { n_points, n_training_poses, tolerance, seed, selection } =
             *self.params;
-        let Prepared { model, mass, stiffness, .. } = self.prepared;
-        let mut reduced_stiffness = linalg::gram(self.stretch, self.stretch);
-        for first in (0..self.basis.ncols()).step_by(COLUMNS_AT_A_TIME) {
-            let count = COLUMNS_AT_A_TIME.min(self.basis.ncols() - first);
-            let product = stiffness.multiply(self.basis.subcols(first, count));
-            let mut columns = reduced_stiffness.as_mut().subcols_mut(first, count);
-            columns += linalg::gram(self.basis, product.as_ref());
-        }
-        let norm = EnergyNorm::new(reduced_stiffness.as_ref())?;
-        let poses = PoseSource::new(&self.shapes, self.basis, mass);
         control::check(control)?;
         let samples = |count: usize, seed: u64| {
-            Samples::new(model, self.basis, &norm, poses.random_poses(count, seed), control)
+            let poses = self.poses.random_poses(count, seed);
+            Samples::new(&self.prepared.model, self.basis, &self.norm, poses, control)
         };
         let n_validation =
             ((VALIDATION_SHARE * n_training_poses as f64) as usize).max(LEAST_VALIDATION_POSES);
@@ -224,6 +207,8 @@ impl Fit<'_> {
             source = CubatureSource::Retrained;
         }
         control.progress(Stage::Cubature, 0.1);
+        // Training looks at every row many times.
+        self.basis.dense();
         let training = samples(n_training_poses, seed)?;
         let wanted = Training { selection, n_points, tolerance, seed };
         let rule = cubature::train(&training, &wanted, control)?;

@@ -1,9 +1,14 @@
-//! The only orchestrator: [`build`] prepares a body, [`rebuild`] applies edits to it.
+//! The only orchestrator: [`build`] prepares a body, [`rebuild`] applies edits to it,
+//! [`prepare_seams`] makes those edits cheap that can be foreseen.
 
 mod artifacts;
+mod derive;
 mod finish;
 mod params;
+mod seams;
+mod span;
 mod spectrum;
+mod update;
 
 pub use crate::assembly::mass::MassKind;
 pub use crate::basis::PcaMethod;
@@ -11,28 +16,26 @@ pub use crate::cubature::Selection;
 pub use crate::reduced::RayleighDamping;
 pub use artifacts::{Artifacts, BasisDelta, CubatureReport, CubatureSource};
 pub use params::{BuildError, BuildParams, CubatureParams, Method, RebuildParams};
+pub use seams::prepare_seams;
 
 use crate::assembly::FullModel;
-use crate::assembly::mass::Mass;
 use crate::assembly::sparse::Pattern;
 use crate::control::{self, Cancelled, Control, Stage};
-use crate::cubature::Rule;
-use crate::derivatives::{self, NEW_DERIVATIVE_MODES, REUSED_SHARE};
+use crate::dictionary::Block;
 use crate::edit::{Edit, EditState, StitchId};
 use crate::factorization::SymbolicCholesky;
-use crate::linalg::{self, DenseError};
 use crate::mesh::TetMesh;
-use crate::modes::low_rank::{self, MassInverse};
-use crate::modes::stitched::{
-    FlexibilityColumns, StitchMatrix, StitchedStiffness, flexibility_columns,
-};
-use crate::modes::{self, LinearModes, flexibility, rigid};
+use crate::modes::load_cases::LoadCases;
+use crate::modes::seams::{BaseModes, Seams};
+use crate::modes::stitched::{FlexibilityColumns, StitchMatrix, StitchedStiffness};
+use crate::modes::{AuditedSpectrum, LinearModes, rigid};
 use artifacts::Prepared;
-use faer::{Mat, MatRef};
-use finish::{DerivativeSet, Draft, finish};
+use derive::{Body, new_derivatives};
+use finish::{Draft, finish};
+use span::{DerivativeSet, Span};
 use spectrum::{Spectrum, lowest_spectrum};
 use std::collections::BTreeMap;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Measures stages with the caller's clock.
@@ -58,6 +61,7 @@ impl<'a> StageClock<'a> {
 }
 
 /// Prepares `mesh`: matrices, factorization, modes, derivatives, basis, cubature, reduced model.
+/// Seams are left to [`prepare_seams`].
 pub fn build(
     mesh: Arc<TetMesh>,
     params: &BuildParams,
@@ -72,24 +76,27 @@ pub fn build(
             "{count} vertices belong to no tet and never move (the first is {first})"
         ));
     }
-    let (base, residuals, derivatives) = prepare(mesh, params, &BTreeMap::new(), &mut clock)?;
+    let (base, derivatives) = prepare(mesh, params, &BTreeMap::new(), &mut clock)?;
     let Base { prepared, columns } = base;
-    if prepared.modes.eigenvalues.len() < params.n_modes {
+    let spectrum = prepared.spectrum.lowest(params.n_modes);
+    let found = spectrum.eigenvalues.len();
+    if found < params.n_modes {
         warnings.push(format!(
-            "{} modes were asked for, but the body has only {}",
-            params.n_modes,
-            prepared.modes.eigenvalues.len()
+            "{} modes were asked for, but the body has only {found}",
+            params.n_modes
         ));
     }
-    let kept = prepared.modes.lowest(params.n_modes);
     let draft = Draft {
         columns,
         state: EditState::default(),
-        n_rigid_modes: prepared.rigid.ncols(),
-        weighing: kept.eigenvalues.clone(),
-        modes: kept,
-        residuals,
-        derivatives: vec![derivatives],
+        n_rigid_modes: prepared.rigid().ncols(),
+        weighing: spectrum.eigenvalues.clone(),
+        derivative_residual: derivatives.residual,
+        span: Span::Dense {
+            modes: prepared.modes().subcols(0, found).to_owned(),
+            derivatives: vec![derivatives],
+        },
+        spectrum,
         reuse: None,
         warnings,
         prepared,
@@ -100,24 +107,24 @@ pub fn build(
 /// What an edit starts from.
 struct Base {
     prepared: Arc<Prepared>,
-    /// Of seams and of stitches made so far.
+    /// Of stitches made so far that no seam has.
     columns: FlexibilityColumns,
 }
 
-/// The base body with domains `stiffness_factors` times as stiff as `params` has them, its residuals
-/// (of the modes kept) and its derivatives.
+/// The base body with domains `stiffness_factors` times as stiff as `params` has them, and its
+/// derivatives.
 fn prepare(
     mesh: Arc<TetMesh>,
     params: &BuildParams,
     stiffness_factors: &BTreeMap<i64, f64>,
     clock: &mut StageClock<'_>,
-) -> Result<(Base, Vec<f64>, DerivativeSet), BuildError> {
+) -> Result<(Base, DerivativeSet), BuildError> {
     let materials = params::scaled_materials(&mesh, params, stiffness_factors)?;
     let model = FullModel::new(mesh, &materials, &params.fixed_vertices);
     if model.n() == 0 {
         return Err(BuildError::NothingFree);
     }
-    params::check_seams(&model, params)?;
+    params::check_seams(&model, &params.seams)?;
     let pattern = Arc::new(model.pattern(&[]));
     let (symbolic, (mass, stiffness, rigid)) = rayon::join(
         || analyse(&pattern, &model),
@@ -131,7 +138,7 @@ fn prepare(
     let (symbolic, rigid) = (symbolic?, rigid?);
     clock.finish(Stage::Assembly)?;
 
-    let Spectrum { factor, sigma, modes, mut residuals } = lowest_spectrum(
+    let Spectrum { factor, sigma, modes, residuals } = lowest_spectrum(
         &model,
         &mass,
         &stiffness,
@@ -140,43 +147,41 @@ fn prepare(
         params.n_modes,
         clock,
     )?;
-    let none = FlexibilityColumns::new();
-    let columns = flexibility_columns(&model, &factor, &none, params.seams.iter().copied());
-    if !params.seams.is_empty() {
-        clock.finish(Stage::Seams)?;
-    }
-
     let kept = modes.lowest(params.n_modes);
-    residuals.truncate(params.n_modes);
+    let none = FlexibilityColumns::new();
     let stitched = StitchedStiffness::new(&model, &stiffness, &factor, &[], &none)?;
     let body =
         Body { model: &model, mass: &mass, stitched: &stitched, sigma, rigid: rigid.as_ref() };
-    let New { set, loads, flexibility } = new_derivatives(
-        &body,
-        &kept,
-        Some(&modes),
-        params.n_derivative_modes,
-        REUSED_SHARE,
-        clock.control,
-    )?;
-    clock.finish(Stage::Derivatives)?;
+    let count = params.n_derivative_modes.min(kept.eigenvalues.len());
+    let (set, loads) = new_derivatives(&body, &kept, Some(&modes), count, clock.control)?;
     drop(stitched);
+    let base = BaseModes {
+        model: &model,
+        mass: &mass,
+        factor: &factor,
+        x: [rigid.as_ref(), modes.shapes.as_ref()],
+    };
+    let n_x = rigid.ncols() + modes.eigenvalues.len();
+    let cases =
+        LoadCases::none(n_x).with(&base, kept.lowest(count), loads.as_ref(), set.shapes.clone());
+    clock.finish(Stage::Derivatives)?;
 
-    let prepared = Arc::new(Prepared {
-        params: params.clone(),
-        stiffness_factors: stiffness_factors.clone(),
+    let error_estimates = residuals.iter().map(|residual| residual * residual).collect();
+    let spectrum = AuditedSpectrum { eigenvalues: modes.eigenvalues, residuals, error_estimates };
+    let x = [Block::new(rigid), Block::new(modes.shapes)];
+    let prepared = Arc::new(Prepared::new(
+        params.clone(),
+        stiffness_factors.clone(),
         model,
         mass,
-        mass_inverse: OnceLock::new(),
         stiffness,
         factor,
         sigma,
-        rigid,
-        modes,
-        derivative_loads: loads,
-        derivative_flexibility: flexibility,
-    });
-    Ok((Base { prepared, columns }, residuals, set))
+        x,
+        spectrum,
+        Seams::new(cases),
+    ));
+    Ok((Base { prepared, columns: none }, set))
 }
 
 /// Orders and analyses the stiffness's pattern: work for one thread, beside the assembly.
@@ -207,8 +212,10 @@ pub fn rebuild(
     let reuse = previous.cubature.map(|_| (previous.rule.clone(), previous.trained_error));
     let draft = match params.method {
         Method::FromScratch => from_scratch(base, state, &mut clock)?,
-        Method::Flexibility => update(base, state, reuse, Some(params.tolerance), &mut clock)?,
-        Method::LowRank => update(base, state, reuse, None, &mut clock)?,
+        Method::Flexibility => {
+            update::by_flexibility(base, state, reuse, params.tolerance, &mut clock)?
+        }
+        Method::LowRank => update::by_low_rank(base, state, reuse, &mut clock)?,
     };
     Ok((finish(draft, clock)?, ids))
 }
@@ -234,8 +241,8 @@ fn from_scratch(
     state: EditState,
     clock: &mut StageClock<'_>,
 ) -> Result<Draft, BuildError> {
-    let prepared = &base.prepared;
-    let Prepared { params, model, mass, .. } = &**prepared;
+    let prepared = base.prepared.clone();
+    let Prepared { params, model, mass, .. } = &*prepared;
     let a = StitchMatrix::new(model, state.stitches());
     let pairs: Vec<[u32; 2]> = state.stitches().iter().map(|s| s.pair).collect();
     let pattern = Arc::new(model.pattern(&pairs));
@@ -248,265 +255,31 @@ fn from_scratch(
         },
     );
     let symbolic = symbolic?;
-    let rigid = rigid_left(&a, prepared.rigid.as_ref())?;
+    let rigid = update::rigid_left(&a, prepared.rigid())?;
     clock.finish(Stage::Assembly)?;
 
-    let Spectrum { factor, sigma, modes, mut residuals } =
+    let Spectrum { factor, sigma, modes, residuals } =
         lowest_spectrum(model, mass, &stiffness, rigid.as_ref(), symbolic, params.n_modes, clock)?;
     let kept = modes.lowest(params.n_modes);
-    residuals.truncate(params.n_modes);
     let none = FlexibilityColumns::new();
     let stitched = StitchedStiffness::new(model, &stiffness, &factor, &[], &none)?;
     let body = Body { model, mass, stitched: &stitched, sigma, rigid: rigid.as_ref() };
-    let New { set, .. } =
-        new_derivatives(&body, &kept, Some(&modes), params.n_derivative_modes, 0.0, clock.control)?;
+    let count = params.n_derivative_modes.min(kept.eigenvalues.len());
+    let (set, _) = new_derivatives(&body, &kept, Some(&modes), count, clock.control)?;
     clock.finish(Stage::Derivatives)?;
+    let LinearModes { shapes, eigenvalues } = kept;
+    let error_estimates = residuals.iter().map(|residual| residual * residual).collect();
+    let spectrum = AuditedSpectrum { eigenvalues, residuals, error_estimates };
     Ok(Draft {
-        prepared: prepared.clone(),
         columns: base.columns,
         state,
         n_rigid_modes: rigid.ncols(),
-        weighing: kept.eigenvalues.clone(),
-        modes: kept,
-        residuals,
-        derivatives: vec![set],
+        weighing: spectrum.eigenvalues.clone(),
+        spectrum: spectrum.lowest(params.n_modes),
+        derivative_residual: set.residual,
+        span: Span::Dense { modes: shapes, derivatives: vec![set] },
         reuse: None,
         warnings: Vec::new(),
+        prepared: base.prepared,
     })
-}
-
-/// Everything up to the derivatives, from the base body's factorization: by flexibility to
-/// `tolerance`, or by the low-rank update if there is none. `reuse` is the cubature rule in use.
-fn update(
-    base: Base,
-    state: EditState,
-    reuse: Option<(Rule, f64)>,
-    tolerance: Option<f64>,
-    clock: &mut StageClock<'_>,
-) -> Result<Draft, BuildError> {
-    let prepared = &base.prepared;
-    let Prepared { model, mass, factor, sigma, rigid, modes, .. } = &**prepared;
-    let control = clock.control;
-    let mut warnings = Vec::new();
-    let pairs = state.stitches().iter().map(|s| s.pair);
-    let columns = flexibility_columns(model, factor, &base.columns, pairs);
-    let stitched =
-        StitchedStiffness::new(model, &prepared.stiffness, factor, state.stitches(), &columns)?;
-    control::check(control)?;
-    let left = rigid_left(stitched.stitch_matrix(), rigid.as_ref())?;
-    let n_modes = prepared.params.n_modes;
-
-    let (kept, residuals, weighing) = match tolerance {
-        None => {
-            warnings.push(
-                "low_rank treats all higher modes as having no stiffness: its frequencies are \
-                 those of that approximation, not of the stitched body (see the residuals)"
-                    .into(),
-            );
-            let modes = low_rank_modes(prepared, &stitched, left.ncols(), n_modes)?;
-            // Its eigenvalues can vanish; the true Rayleigh quotients take their place as weights.
-            let weighing = rayleigh_quotients(&stitched, &modes);
-            let residuals = audit(&stitched, mass, &modes, *sigma);
-            (modes, residuals, weighing)
-        }
-        Some(tolerance) => {
-            let problem = flexibility::Update {
-                stitched: &stitched,
-                mass,
-                sigma: *sigma,
-                rigid: rigid.as_ref(),
-                n_rigid_left: left.ncols(),
-                base: modes,
-                n_modes,
-                tolerance,
-            };
-            let updated = flexibility::update(&problem, control)?;
-            let half = updated.error_estimates.len().div_ceil(2);
-            let worst = updated.error_estimates[..half].iter().copied().fold(0.0, f64::max);
-            if worst > tolerance {
-                warnings.push(format!(
-                    "the lower half of the modes reached a relative eigenvalue error of \
-                     {worst:.1e}, not {tolerance:.1e}"
-                ));
-            }
-            let weighing = updated.modes.eigenvalues.clone();
-            (updated.modes, updated.residuals, weighing)
-        }
-    };
-    clock.finish(Stage::Modes)?;
-
-    let body = Body { model, mass, stitched: &stitched, sigma: *sigma, rigid: left.as_ref() };
-    let weighed = LinearModes { shapes: kept.shapes.clone(), eigenvalues: weighing.clone() };
-    let accurate = tolerance.map(|_| &kept);
-    let count = NEW_DERIVATIVE_MODES.min(prepared.params.n_derivative_modes);
-    // Side by side: each has passages that only one thread can do.
-    let (new, reused) = rayon::join(
-        || new_derivatives(&body, &weighed, accurate, count, 0.0, control),
-        || reused_derivatives(prepared, &body, accurate, control),
-    );
-    let (New { set: new, .. }, reused) = (new?, reused?);
-    clock.finish(Stage::Derivatives)?;
-    let n_rigid_modes = left.ncols();
-    drop(stitched);
-    Ok(Draft {
-        prepared: prepared.clone(),
-        columns,
-        state,
-        n_rigid_modes,
-        modes: kept,
-        weighing,
-        residuals,
-        derivatives: vec![new, reused],
-        reuse,
-        warnings,
-    })
-}
-
-/// What the derivative stage needs of a (stitched) body.
-struct Body<'a> {
-    model: &'a FullModel,
-    mass: &'a Mass,
-    stitched: &'a StitchedStiffness<'a>,
-    sigma: f64,
-    /// Motions that remain rigid.
-    rigid: MatRef<'a, f64>,
-}
-
-impl<'a> Body<'a> {
-    fn solver(&self, accurate: Option<&'a LinearModes>) -> derivatives::Solver<'a> {
-        derivatives::Solver {
-            stitched: self.stitched,
-            mass: self.mass,
-            sigma: self.sigma,
-            rigid: self.rigid,
-            modes: accurate,
-        }
-    }
-}
-
-/// Relative residuals of modes that come without an audit of their own.
-fn audit(
-    stitched: &StitchedStiffness<'_>,
-    mass: &Mass,
-    modes: &LinearModes,
-    sigma: f64,
-) -> Vec<f64> {
-    let shapes = modes.shapes.as_ref();
-    let product = stitched.multiply(shapes);
-    let residual = modes::residual_vectors(product, mass, shapes, &modes.eigenvalues);
-    let solved = stitched.solve(residual.as_ref());
-    modes::relative_residuals(residual.as_ref(), solved.as_ref(), &modes.eigenvalues, sigma)
-}
-
-/// Right-hand sides solved for at a time: the solve gains nothing from more, and what surrounds it holds
-/// several blocks of this width.
-const DERIVATIVES_PER_SOLVE: usize = 32;
-
-/// New modal derivatives, with the right-hand sides that later updates reuse and K̂_σ⁻¹ of those.
-struct New {
-    set: DerivativeSet,
-    loads: Mat<f64>,
-    flexibility: Mat<f64>,
-}
-
-/// Derivatives of every pair of the lowest `count` modes. Right-hand sides are kept for the first
-/// `kept_share` of them.
-fn new_derivatives<'a>(
-    body: &Body<'a>,
-    modes: &LinearModes,
-    accurate: Option<&'a LinearModes>,
-    count: usize,
-    kept_share: f64,
-    control: &dyn Control,
-) -> Result<New, BuildError> {
-    let lowest = modes.lowest(count);
-    let loads = derivatives::right_hand_sides(body.model, lowest.shapes.as_ref(), control)?;
-    let (n, p) = (loads.nrows(), loads.ncols());
-    let n_kept = (kept_share * p as f64).ceil() as usize;
-    let mut flexibility = Mat::zeros(n, n_kept);
-    let mut shapes = Mat::zeros(n, p);
-    let mut residual = 0.0f64;
-    for first in (0..p).step_by(DERIVATIVES_PER_SOLVE) {
-        control::check(control)?;
-        let block = loads.subcols(first, DERIVATIVES_PER_SOLVE.min(p - first));
-        let y = body.stitched.solve(block);
-        let keep = block.ncols().min(n_kept.saturating_sub(first));
-        if keep > 0 {
-            flexibility.as_mut().subcols_mut(first, keep).copy_from(y.subcols(0, keep));
-        }
-        let (x, worst) = body.solver(accurate).solve(block, y, control)?;
-        shapes.as_mut().subcols_mut(first, block.ncols()).copy_from(&x);
-        residual = residual.max(worst);
-    }
-    let loads = loads.subcols(0, n_kept).to_owned();
-    let pairs = derivatives::pairs(lowest.eigenvalues.len());
-    let eigenvalues = pairs.iter().map(|p| p.map(|i| lowest.eigenvalues[i])).collect();
-    let set = DerivativeSet { shapes, pairs, eigenvalues, residual };
-    Ok(New { set, loads, flexibility })
-}
-
-/// Derivatives of the base body's right-hand sides on the stitched body: K_σ⁻¹ of them is cached,
-/// so K̂_σ⁻¹ costs no solve (\[M16\] §4.2.1 reuses 40 % of them).
-fn reused_derivatives<'a>(
-    prepared: &Prepared,
-    body: &Body<'a>,
-    accurate: Option<&'a LinearModes>,
-    control: &dyn Control,
-) -> Result<DerivativeSet, BuildError> {
-    let loads = prepared.derivative_loads.as_ref();
-    let start = prepared.derivative_flexibility.clone();
-    let (shapes, residual) =
-        body.solver(accurate).solve(loads, body.stitched.correct(start), control)?;
-    let base = &prepared.modes.eigenvalues;
-    let pairs: Vec<[usize; 2]> = derivatives::pairs(prepared.params.n_derivative_modes)
-        .into_iter()
-        .take(loads.ncols())
-        .collect();
-    let eigenvalues = pairs.iter().map(|p| p.map(|i| base[i])).collect();
-    Ok(DerivativeSet { shapes, pairs, eigenvalues, residual })
-}
-
-/// The rigid motions that stretch no stitch (n×k, M-orthonormal).
-fn rigid_left(a: &StitchMatrix, rigid: MatRef<'_, f64>) -> Result<Mat<f64>, DenseError> {
-    let left = rigid::unstretched(a.gaps(rigid).as_ref())?;
-    Ok(linalg::product(rigid, left.as_ref()))
-}
-
-/// The paper's update, guards included in what it starts from; the motions that remain rigid are
-/// its lowest and are left out.
-fn low_rank_modes(
-    prepared: &Prepared,
-    stitched: &StitchedStiffness<'_>,
-    n_rigid_left: usize,
-    n_modes: usize,
-) -> Result<LinearModes, BuildError> {
-    let inverse = match prepared.mass_inverse.get() {
-        Some(inverse) => inverse,
-        None => {
-            let made = MassInverse::new(&prepared.mass)
-                .map_err(|error| BuildError::of_factorization(error, &prepared.model))?;
-            prepared.mass_inverse.get_or_init(|| made)
-        }
-    };
-    let base = &prepared.modes;
-    let u = linalg::concatenate(&[prepared.rigid.as_ref(), base.shapes.as_ref()]);
-    let lambda: Vec<f64> = std::iter::repeat_n(0.0, prepared.rigid.ncols())
-        .chain(base.eigenvalues.iter().copied())
-        .collect();
-    let a = stitched.stitch_matrix();
-    let all = low_rank::update(u.as_ref(), &lambda, a, inverse, n_rigid_left + n_modes)?;
-    let count = all.eigenvalues.len().saturating_sub(n_rigid_left);
-    let shapes = all.shapes.subcols(n_rigid_left, count);
-    // Through the inverse root of a Gram matrix they come orthonormal to 1e-7 only.
-    let gram = linalg::SmallCholesky::new(prepared.mass.inner(shapes, shapes).as_ref())?;
-    Ok(LinearModes {
-        shapes: linalg::product(shapes, gram.whitening().as_ref()),
-        eigenvalues: all.eigenvalues[n_rigid_left..].to_vec(),
-    })
-}
-
-/// φᵀK̂φ of M-normalised shapes.
-fn rayleigh_quotients(stitched: &StitchedStiffness<'_>, modes: &LinearModes) -> Vec<f64> {
-    let product = stitched.multiply(modes.shapes.as_ref());
-    (0..product.ncols()).map(|j| modes.shapes.col(j).transpose() * product.col(j)).collect()
 }

@@ -52,7 +52,7 @@ pub struct BuildParams {
     pub cubature: Option<CubatureParams>,
     /// Damping of the reduced model.
     pub damping: RayleighDamping,
-    /// Candidate stitch pairs whose flexibility columns are prepared with the body.
+    /// Candidate stitch pairs, for [`prepare_seams`](super::prepare_seams).
     pub seams: Vec<[u32; 2]>,
 }
 
@@ -218,10 +218,10 @@ pub(super) fn check_fraction(name: &'static str, value: f64) -> Result<(), Build
 }
 
 /// Checks the seams' pairs like an edit's.
-pub(super) fn check_seams(model: &FullModel, params: &BuildParams) -> Result<(), BuildError> {
+pub(super) fn check_seams(model: &FullModel, pairs: &[[u32; 2]]) -> Result<(), BuildError> {
     let mesh = model.mesh();
     let allowed_m = edit::COINCIDENCE_RATIO * mesh.diagonal();
-    for (position, &pair) in params.seams.iter().enumerate() {
+    for (position, &pair) in pairs.iter().enumerate() {
         edit::check_pair(0, position, pair, mesh, allowed_m, &|v| model.free_index(v).is_none())
             .map_err(BuildError::Seam)?;
     }

@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 /// Elastic modes computed beyond those kept: the highest of a set are always the least exact, and
 /// an update starts from all of them.
-const GUARD_MODES: usize = 10;
+const GUARD_MODES: usize = 14;
 
 /// A factorization of K + σM with the lowest modes, guards included.
 pub(super) struct Spectrum {

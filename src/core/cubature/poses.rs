@@ -8,9 +8,8 @@
 //! the static displacements that 120 points then give are no better (median error 3.7, 0.7, 4.0 and
 //! 0.7 % on the small stomach, fork, ball and plant; 3.6, 1.1, 4.4 and 0.6 % with these poses).
 
-use crate::assembly::mass::Mass;
+use crate::dictionary::Combination;
 use crate::linalg;
-use crate::modes::LinearModes;
 use faer::{Mat, MatRef};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -27,61 +26,56 @@ const DECAY: [f64; 2] = [0.75, 1.25];
 /// Vertices at which displacements are compared with [`AMPLITUDE`], evenly spread over the numbering.
 const MOST_PROBES: usize = 2000;
 
-/// What poses are made of.
+/// What poses are made of, as an M-orthonormal basis sees it.
 pub struct Shapes<'a> {
-    /// Linear modes.
-    pub modes: &'a LinearModes,
-    /// Their derivatives Φ_ij (n×p) for these pairs.
-    pub derivatives: MatRef<'a, f64>,
+    /// UᵀM times the linear modes (r×k).
+    pub modes: Mat<f64>,
+    /// Their eigenvalues.
+    pub eigenvalues: &'a [f64],
+    /// UᵀM times their derivatives Φ_ij (r×p), for these pairs.
+    pub derivatives: Mat<f64>,
     /// Pairs (i, j), i ≤ j.
     pub pairs: &'a [[usize; 2]],
     /// Diagonal of the body in m.
     pub diagonal_m: f64,
 }
 
-/// [`Shapes`] as seen by a basis: a source of random poses in reduced coordinates.
+/// A source of random poses in reduced coordinates.
 pub struct PoseSource<'a> {
-    shapes: &'a Shapes<'a>,
+    shapes: Shapes<'a>,
     /// Rows of the basis at some vertices.
     probes: Mat<f64>,
-    /// UᵀM times the modes and their derivatives (r×k, r×p).
-    modes: Mat<f64>,
-    derivatives: Mat<f64>,
 }
 
 impl<'a> PoseSource<'a> {
-    /// `basis` is M-orthonormal (n×r).
-    pub fn new(shapes: &'a Shapes<'a>, basis: MatRef<'_, f64>, mass: &Mass) -> PoseSource<'a> {
-        let n_vertices = basis.nrows() / 3;
+    /// `basis` is the one that `shapes` speaks of.
+    pub fn new(shapes: Shapes<'a>, basis: &Combination) -> PoseSource<'a> {
+        let n_vertices = basis.n_rows() / 3;
         let stride = n_vertices.div_ceil(MOST_PROBES).max(1);
-        let probes = Mat::from_fn(3 * n_vertices.div_ceil(stride), basis.ncols(), |row, column| {
-            basis[(3 * stride * (row / 3) + row % 3, column)]
-        });
-        PoseSource {
-            shapes,
-            probes,
-            modes: mass.inner(basis, shapes.modes.shapes.as_ref()),
-            derivatives: mass.inner(basis, shapes.derivatives),
-        }
+        let rows: Vec<Option<usize>> = (0..n_vertices)
+            .step_by(stride)
+            .flat_map(|v| (0..3).map(move |axis| Some(3 * v + axis)))
+            .collect();
+        PoseSource { shapes, probes: basis.rows(&rows) }
     }
 
     /// Reduced coordinates of `count` poses (r × count); the same seed gives the same poses.
     pub fn random_poses(&self, count: usize, seed: u64) -> Mat<f64> {
-        let Shapes { modes, pairs, diagonal_m, .. } = self.shapes;
+        let Shapes { modes, eigenvalues, derivatives, pairs, diagonal_m } = &self.shapes;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
-        let n_modes = modes.eigenvalues.len();
-        let first = modes.eigenvalues.first().copied().unwrap_or(1.0);
+        let n_modes = eigenvalues.len();
+        let first = eigenvalues.first().copied().unwrap_or(1.0);
         let mut amplitudes = Mat::<f64>::zeros(n_modes, count);
         let mut reach_m = Vec::with_capacity(count);
         for pose in 0..count {
             let decay = random.random_range(DECAY[0]..DECAY[1]);
             reach_m.push(random.random_range(AMPLITUDE[0]..AMPLITUDE[1]) * diagonal_m);
-            for (j, lambda) in modes.eigenvalues.iter().enumerate() {
+            for (j, lambda) in eigenvalues.iter().enumerate() {
                 let normal: f64 = StandardNormal.sample(&mut random);
                 amplitudes[(j, pose)] = normal * (first / lambda).powf(decay);
             }
         }
-        let mut q = linalg::small_product(self.modes.as_ref(), amplitudes.as_ref());
+        let mut q = linalg::small_product(modes.as_ref(), amplitudes.as_ref());
         let mut scale = Vec::with_capacity(count);
         for (pose, largest) in self.largest_displacements(q.as_ref()).into_iter().enumerate() {
             let factor = if largest > 0.0 { reach_m[pose] / largest } else { 0.0 };
@@ -93,7 +87,7 @@ impl<'a> PoseSource<'a> {
             let half = if i == j { 0.5 } else { 1.0 };
             half * amplitudes[(i, pose)] * amplitudes[(j, pose)] * scale[pose] * scale[pose]
         });
-        let bent = linalg::small_product(self.derivatives.as_ref(), quadratic.as_ref());
+        let bent = linalg::small_product(derivatives.as_ref(), quadratic.as_ref());
         // Where the quadratic part outgrows the linear one the expansion has no meaning: cap it.
         for (pose, largest) in self.largest_displacements(bent.as_ref()).into_iter().enumerate() {
             let factor = if largest > reach_m[pose] { reach_m[pose] / largest } else { 1.0 };

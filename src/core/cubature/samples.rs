@@ -4,6 +4,7 @@ use super::Rule;
 use super::pose_block::{LANES, PoseBlock, stress};
 use crate::assembly::FullModel;
 use crate::control::{self, Cancelled, Control};
+use crate::dictionary::Combination;
 use crate::linalg::{self, DenseError};
 use faer::{Mat, MatRef};
 use rand::{Rng, SeedableRng};
@@ -41,7 +42,7 @@ impl EnergyNorm {
 /// Poses of a body in a basis and the exact reduced forces there.
 pub struct Samples<'a> {
     pub(super) model: &'a FullModel,
-    pub(super) basis: MatRef<'a, f64>,
+    pub(super) basis: &'a Combination,
     norm: &'a EnergyNorm,
     /// Reduced coordinates (r×t).
     q: Mat<f64>,
@@ -55,7 +56,7 @@ impl<'a> Samples<'a> {
     /// Evaluates the exact reduced force at every column of `q` (r×t).
     pub fn new(
         model: &'a FullModel,
-        basis: MatRef<'a, f64>,
+        basis: &'a Combination,
         norm: &'a EnergyNorm,
         q: Mat<f64>,
         control: &dyn Control,
@@ -63,9 +64,9 @@ impl<'a> Samples<'a> {
         let mut forces = Vec::new();
         for first in (0..q.ncols()).step_by(POSES_AT_A_TIME) {
             let some = q.subcols(first, POSES_AT_A_TIME.min(q.ncols() - first));
-            let u = linalg::product(basis, some);
+            let u = basis.times(some);
             control::check(control)?;
-            forces.push(linalg::gram(basis, model.internal_forces(u.as_ref()).as_ref()));
+            forces.push(basis.gram(model.internal_forces(u.as_ref()).as_ref()));
         }
         let force = linalg::concatenate(&forces.iter().map(Mat::as_ref).collect::<Vec<_>>());
         let mut target = linalg::small_product(norm.coefficients.transpose(), force.as_ref());
@@ -87,7 +88,7 @@ impl<'a> Samples<'a> {
     fn contribution(&self, tet: u32) -> Mat<f64> {
         let tet = tet as usize;
         let (r, t) = (self.q.nrows(), self.q.ncols());
-        let rows = self.model.corner_rows(tet, self.basis);
+        let rows = self.basis.rows(&self.model.corner_dofs(tet));
         let shape = &self.model.gradients()[tet];
         let gradient = Mat::from_fn(9, r, |k, column| {
             (0..4).map(|a| rows[(3 * a + k / 3, column)] * shape[a][k % 3]).sum::<f64>()
@@ -179,8 +180,8 @@ impl<'a> Samples<'a> {
             .map(|[first, count]| {
                 control::check(control)?;
                 let mut work = vec![0.0; n_tets];
-                let block = PoseBlock::new(self.basis, self.q.subcols(first, count));
-                let other = PoseBlock::new(self.basis, direction.subcols(first, count));
+                let block = PoseBlock::new(self.basis.dense(), self.q.subcols(first, count));
+                let other = PoseBlock::new(self.basis.dense(), direction.subcols(first, count));
                 block.add_stress_work(self.model, &other, &mut work);
                 Ok(work)
             })
@@ -252,7 +253,7 @@ mod tests {
     use crate::testing::{Bar, Cell, Cut};
 
     /// A bar, a basis of `r` smooth fields that respect its support, and its norm and poses.
-    fn case(r: usize) -> (FullModel, Mat<f64>, EnergyNorm, Mat<f64>, Mat<f64>) {
+    fn case(r: usize) -> (FullModel, Combination, EnergyNorm, Mat<f64>, Mat<f64>) {
         let bar =
             Bar { size_m: [0.2, 0.05, 0.05], n_cells: [4, 2, 2], cell: Cell::Six, cut: Cut::Whole }
                 .mesh();
@@ -263,6 +264,7 @@ mod tests {
         let product = model.rest_stiffness(&pattern).multiply(basis.as_ref());
         let stiffness = basis.transpose() * &product;
         let norm = EnergyNorm::new(stiffness.as_ref()).unwrap();
+        let basis = Combination::of_dense(basis);
         let q = Mat::from_fn(r, 11, |i, j| 1e-3 * ((i + 5 * j) as f64).cos());
         (model, basis, norm, q, stiffness)
     }
@@ -270,7 +272,7 @@ mod tests {
     #[test]
     fn every_tet_together_is_the_exact_force() {
         let (model, basis, norm, q, _) = case(5);
-        let samples = Samples::new(&model, basis.as_ref(), &norm, q, &Uncontrolled).unwrap();
+        let samples = Samples::new(&model, &basis, &norm, q, &Uncontrolled).unwrap();
         let rule = Rule::exact(model.corners().len());
         assert!(samples.error(&rule) < 1e-12);
         let nothing = Rule { tets: Vec::new(), weights: Vec::new() };
@@ -282,7 +284,7 @@ mod tests {
         let (model, basis, norm, q, stiffness) = case(5);
         let rule = Rule { tets: vec![1, 20, 50], weights: vec![12.0, 30.0, 7.0] };
         let force = |q: &[f64]| {
-            let u = &basis * Mat::from_fn(5, 1, |i, _| q[i]);
+            let u = basis.times(Mat::from_fn(5, 1, |i, _| q[i]).as_ref());
             let mut sum = Mat::<f64>::zeros(5, 1);
             for (&tet, weight) in rule.tets.iter().zip(&rule.weights) {
                 let d = model.displacement_gradient(tet as usize, u.col_as_slice(0));
@@ -293,10 +295,10 @@ mod tests {
                         .map(|k| p[(i % 3, k)] * model.gradients()[tet as usize][i / 3][k])
                         .sum::<f64>()
                 });
-                sum += model.corner_rows(tet as usize, basis.as_ref()).transpose() * corners;
+                sum += basis.rows(&model.corner_dofs(tet as usize)).transpose() * corners;
             }
             let exact = model.internal_force(u.col_as_slice(0));
-            let exact = basis.transpose() * Mat::from_fn(exact.len(), 1, |i, _| exact[i]);
+            let exact = basis.gram(Mat::from_fn(exact.len(), 1, |i, _| exact[i]).as_ref());
             (&sum - &exact, exact)
         };
         let inverse = linalg::SmallCholesky::new(stiffness.as_ref()).unwrap();
@@ -306,7 +308,7 @@ mod tests {
             .map(|(gap, exact)| squared(&gap) / squared(&exact))
             .sum::<f64>()
             / q.ncols() as f64;
-        let samples = Samples::new(&model, basis.as_ref(), &norm, q, &Uncontrolled).unwrap();
+        let samples = Samples::new(&model, &basis, &norm, q, &Uncontrolled).unwrap();
         let error = samples.error(&rule);
         assert!((error / mean.sqrt() - 1.0).abs() < 1e-9, "{error} {}", mean.sqrt());
     }
@@ -314,7 +316,7 @@ mod tests {
     #[test]
     fn the_gradient_is_made_of_products_with_columns() {
         let (model, basis, norm, q, _) = case(5);
-        let samples = Samples::new(&model, basis.as_ref(), &norm, q, &Uncontrolled).unwrap();
+        let samples = Samples::new(&model, &basis, &norm, q, &Uncontrolled).unwrap();
         let rule = Rule { tets: vec![3, 40], weights: vec![10.0, 25.0] };
         let residual = samples.residual(&rule);
         let gradient = samples.gradient(residual.as_ref(), &Uncontrolled).unwrap();

@@ -256,6 +256,7 @@ mod tests {
     use crate::assembly::FullModel;
     use crate::control::Uncontrolled;
     use crate::cubature::{EnergyNorm, train};
+    use crate::dictionary::Combination;
     use crate::material::Material;
     use crate::testing::{Bar, Cell, Cut};
 
@@ -279,7 +280,8 @@ mod tests {
         let poses = |seed: usize, count: usize| {
             Mat::from_fn(6, count, |i, j| 0.02 * ((7 * i + 13 * (j + seed)) as f64).sin())
         };
-        let samples = |q| Samples::new(&model, basis.as_ref(), &norm, q, &Uncontrolled).unwrap();
+        let basis = Combination::of_dense(basis);
+        let samples = |q| Samples::new(&model, &basis, &norm, q, &Uncontrolled).unwrap();
         let (seen, unseen) = (samples(poses(0, 20)), samples(poses(100, 10)));
         for selection in [
             Selection::GreedyNnls,

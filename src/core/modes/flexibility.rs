@@ -14,7 +14,9 @@ use crate::assembly::mass::Mass;
 use crate::control::{self, Control, Stage};
 use crate::linalg::{self, DenseError};
 use crate::modes::stitched::StitchedStiffness;
-use crate::modes::{LinearModes, ModesError, relative_residuals, residual_vectors};
+use crate::modes::{
+    AuditedSpectrum, ModesError, error_estimates, relative_residuals, residual_vectors,
+};
 use faer::{Mat, MatRef};
 
 /// Rounds of refinement before the result is returned as it is. On the bodies tried, one to three
@@ -30,10 +32,6 @@ const CANCELLED: f64 = 1e-8;
 /// Projections of new directions out of the space: two are enough (Kahan), a third for safety.
 const MOST_PROJECTIONS: usize = 3;
 
-/// Relative eigenvalue error accepted for the upper half of the modes, as a multiple of the
-/// tolerance for the lower half: they carry the least of a motion and cost the most to refine.
-pub const UPPER_HALF_FACTOR: f64 = 100.0;
-
 /// The base body's modes and the new problem.
 pub struct Update<'a> {
     /// K̂ and K̂_σ⁻¹.
@@ -47,7 +45,9 @@ pub struct Update<'a> {
     /// How many motions remain rigid after the edit.
     pub n_rigid_left: usize,
     /// Elastic modes of the base body, guards included.
-    pub base: &'a LinearModes,
+    pub base: MatRef<'a, f64>,
+    /// Their eigenvalues.
+    pub eigenvalues: &'a [f64],
     /// Modes wanted.
     pub n_modes: usize,
     /// Relative eigenvalue error accepted for the lower half of the modes.
@@ -56,12 +56,10 @@ pub struct Update<'a> {
 
 /// Updated modes with their audit.
 pub struct Updated {
-    /// The elastic modes wanted.
-    pub modes: LinearModes,
-    /// Their relative residuals ([`relative_residuals`]).
-    pub residuals: Vec<f64>,
-    /// Estimated relative eigenvalue errors.
-    pub error_estimates: Vec<f64>,
+    /// The elastic modes wanted (n×r, M-orthonormal).
+    pub shapes: Mat<f64>,
+    /// Their eigenvalues, residuals and estimated errors.
+    pub spectrum: AuditedSpectrum,
     /// Blocked solves that refinement took.
     pub n_rounds: usize,
 }
@@ -102,11 +100,11 @@ struct Candidate {
 impl<'a> TrialSpace<'a> {
     fn new(problem: &'a Update<'a>) -> TrialSpace<'a> {
         let a = problem.stitched.stitch_matrix();
-        let base = [problem.rigid, problem.base.shapes.as_ref()];
+        let base = [problem.rigid, problem.base];
         let stretch =
             linalg::concatenate(&base.map(|x| a.transpose_times(x)).each_ref().map(|x| x.as_ref()));
         let shifted: Vec<f64> = std::iter::repeat_n(0.0, problem.rigid.ncols())
-            .chain(problem.base.eigenvalues.iter().copied())
+            .chain(problem.eigenvalues.iter().copied())
             .map(|lambda| lambda + problem.sigma)
             .collect();
         let mut gram_k = linalg::gram(stretch.as_ref(), stretch.as_ref());
@@ -274,7 +272,7 @@ pub fn update(problem: &Update<'_>, control: &dyn Control) -> Result<Updated, Mo
         };
         space.extend(t)?;
     }
-    let kept = base.eigenvalues.len();
+    let kept = problem.eigenvalues.len();
     let mut round = 0;
     loop {
         control::check(control)?;
@@ -282,7 +280,7 @@ pub fn update(problem: &Update<'_>, control: &dyn Control) -> Result<Updated, Mo
         let (theta, c) = space.ritz()?;
         let available = theta.len().saturating_sub(n_rigid_left).min(kept);
         let wanted = n_modes.min(available);
-        let mut shapes = Mat::zeros(base.shapes.nrows(), wanted);
+        let mut shapes = Mat::zeros(base.nrows(), wanted);
         space.add_combination(&mut shapes, 1.0, c.subcols(n_rigid_left, wanted));
         let eigenvalues: Vec<f64> =
             theta[n_rigid_left..][..wanted].iter().map(|t| t.recip() - sigma).collect();
@@ -291,29 +289,17 @@ pub fn update(problem: &Update<'_>, control: &dyn Control) -> Result<Updated, Mo
         let solved = stitched.solve(residual.as_ref());
         let residuals = relative_residuals(residual.as_ref(), solved.as_ref(), &eigenvalues, sigma);
         let beyond = theta.get(n_rigid_left + available).copied().unwrap_or(0.0);
-        let error_estimates: Vec<f64> = (0..wanted)
-            .map(|i| {
-                let theta = theta[n_rigid_left + i];
-                let gap = ((theta - beyond) / theta).max(f64::EPSILON);
-                let shifted = residuals[i].min(residuals[i].powi(2) / gap);
-                shifted * (eigenvalues[i] + sigma) / eigenvalues[i].max(f64::MIN_POSITIVE)
-            })
-            .collect();
-        let accepted = |i: usize| {
-            let factor = if 2 * i < wanted { 1.0 } else { UPPER_HALF_FACTOR };
-            error_estimates[i] <= factor * tolerance
-        };
+        let kept = &theta[n_rigid_left..][..wanted];
+        let error_estimates = error_estimates(kept, beyond, &residuals, sigma);
+        let spectrum = AuditedSpectrum { eigenvalues, residuals, error_estimates };
         round += 1;
-        let unaccepted: Vec<usize> = (0..wanted).filter(|&i| !accepted(i)).collect();
+        let unaccepted = spectrum.beyond(tolerance);
         if unaccepted.is_empty() || round == MOST_ROUNDS {
             // The Ritz vectors are orthonormal to about 1e-10 where large rigid parts cancelled.
             let gram =
                 linalg::SmallCholesky::new(mass.inner(shapes.as_ref(), shapes.as_ref()).as_ref())?;
-            let modes = LinearModes {
-                shapes: linalg::product(shapes.as_ref(), gram.whitening().as_ref()),
-                eigenvalues,
-            };
-            return Ok(Updated { modes, residuals, error_estimates, n_rounds: round });
+            let shapes = linalg::product(shapes.as_ref(), gram.whitening().as_ref());
+            return Ok(Updated { shapes, spectrum, n_rounds: round });
         }
         space.extend(linalg::columns(&solved, &unaccepted))?;
     }

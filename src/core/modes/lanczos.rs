@@ -38,6 +38,10 @@ const BLOCK: usize = 8;
 /// Euclidean ‖Kφ − λMφ‖/‖λMφ‖ is about as large.
 const TOLERANCE: f64 = 5e-9;
 
+/// The same for the guard modes. Updates take all modes for exact invariants of the unstitched body
+/// (`modes::seams`): what guards leave of that shows in the orthonormality of updated modes.
+const GUARD_TOLERANCE: f64 = 1e-6;
+
 /// A Lanczos vector shorter than this fraction of the largest eigenvalue is rounding noise.
 const BREAKDOWN: f64 = 1e-13;
 
@@ -101,7 +105,9 @@ pub fn lowest_modes(
         let done = dim >= most;
         if done || dim >= schedule.next {
             let pairs = krylov.ritz(kept)?;
-            let worst = pairs.residuals[..wanted].iter().copied().fold(0.0, f64::max);
+            // Guards are done where their residuals would be wanted modes' at this tolerance.
+            let guards = pairs.residuals[wanted..].iter().map(|r| r * TOLERANCE / GUARD_TOLERANCE);
+            let worst = pairs.residuals[..wanted].iter().copied().chain(guards).fold(0.0, f64::max);
             let progress = worst.max(TOLERANCE).log10() / TOLERANCE.log10();
             control.progress(Stage::Modes, progress.clamp(0.0, 1.0));
             if worst <= TOLERANCE || done {

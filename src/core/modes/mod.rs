@@ -1,10 +1,13 @@
-//! Linear modes K φ = λ M φ: from scratch ([`lanczos`]) and after an edit ([`flexibility`],
-//! [`low_rank`]).
+//! Linear modes K φ = λ M φ: from scratch ([`lanczos`]) and after an edit ([`prepared`] inside a seam,
+//! [`flexibility`] elsewhere, [`low_rank`]).
 
 pub mod flexibility;
 pub mod lanczos;
+pub mod load_cases;
 pub mod low_rank;
+pub mod prepared;
 pub mod rigid;
+pub mod seams;
 pub mod shift;
 pub mod stitched;
 
@@ -64,6 +67,61 @@ pub fn relative_residuals(
             (energy.max(0.0) / (eigenvalues[i] + sigma)).sqrt()
         })
         .collect()
+}
+
+/// Eigenvalues with their audit.
+#[derive(Clone, Debug)]
+pub struct AuditedSpectrum {
+    /// λ = ω² in 1/s², ascending.
+    pub eigenvalues: Vec<f64>,
+    /// [`relative_residuals`].
+    pub residuals: Vec<f64>,
+    /// Estimated relative errors of the eigenvalues.
+    pub error_estimates: Vec<f64>,
+}
+
+/// Relative eigenvalue error accepted for the upper half of the modes, as a multiple of the
+/// tolerance for the lower half: they carry the least of a motion and cost the most to refine.
+pub const UPPER_HALF_FACTOR: f64 = 100.0;
+
+impl AuditedSpectrum {
+    /// The lowest `count`.
+    pub fn lowest(&self, count: usize) -> AuditedSpectrum {
+        let count = count.min(self.eigenvalues.len());
+        AuditedSpectrum {
+            eigenvalues: self.eigenvalues[..count].to_vec(),
+            residuals: self.residuals[..count].to_vec(),
+            error_estimates: self.error_estimates[..count].to_vec(),
+        }
+    }
+
+    /// The modes whose estimated errors exceed `tolerance`, or [`UPPER_HALF_FACTOR`] times that in the
+    /// upper half.
+    pub fn beyond(&self, tolerance: f64) -> Vec<usize> {
+        let count = self.eigenvalues.len();
+        let allowed =
+            |i: usize| if 2 * i < count { tolerance } else { UPPER_HALF_FACTOR * tolerance };
+        // Written so that a NaN is beyond.
+        (0..count).filter(|&i| !(self.error_estimates[i] <= allowed(i))).collect()
+    }
+
+    /// Largest estimated error in the lower half.
+    pub fn worst_of_lower_half(&self) -> f64 {
+        let half = self.error_estimates.len().div_ceil(2);
+        self.error_estimates[..half].iter().copied().fold(0.0, f64::max)
+    }
+}
+
+/// Estimated relative errors of Ritz values λ = 1/θ − σ: the square of the residual over the relative
+/// gap to `beyond`, the first θ that is not among them.
+fn error_estimates(theta: &[f64], beyond: f64, residuals: &[f64], sigma: f64) -> Vec<f64> {
+    let estimate = |(theta, residual): (&f64, &f64)| {
+        let gap = ((theta - beyond) / theta).max(f64::EPSILON);
+        let lambda = theta.recip() - sigma;
+        let shifted = residual.min(residual.powi(2) / gap);
+        shifted / theta / lambda.max(f64::MIN_POSITIVE)
+    };
+    theta.iter().zip(residuals).map(estimate).collect()
 }
 
 /// R = K̂Φ − MΦΛ from K̂Φ.

@@ -7,8 +7,9 @@ mod statics;
 pub use newmark::{Integrator, Simulation, SimulationError, SimulationParams, StepReport};
 pub use statics::StaticError;
 
-use crate::assembly::{FullModel, NOT_FREE};
+use crate::assembly::FullModel;
 use crate::cubature::Rule;
+use crate::dictionary::Combination;
 use crate::linalg;
 use crate::material::stvk;
 use faer::{Mat, MatRef};
@@ -84,32 +85,29 @@ pub struct ReducedModel {
 }
 
 impl ReducedModel {
-    /// Tables for `rule` in `basis` (n×r); `stretch` is AᵀU (3s×r).
+    /// Tables for `rule` in `basis`; `stretch` is AᵀU (3s×r).
     pub(crate) fn new(
         model: &FullModel,
         rule: &Rule,
-        basis: MatRef<'_, f64>,
+        basis: &Combination,
         stretch: MatRef<'_, f64>,
         damping: RayleighDamping,
         n_rigid_modes: usize,
     ) -> ReducedModel {
-        let r = basis.ncols();
+        let r = basis.n_columns();
         let mut gradients = Mat::zeros(9 * rule.tets.len(), r);
         gradients
             .as_mut()
             .par_row_chunks_mut(9 * POINTS_PER_TASK)
             .zip(rule.tets.par_chunks(POINTS_PER_TASK))
             .for_each(|(mut gradients, tets)| {
+                let rows = basis.rows(&corner_dofs(model, tets));
                 for (point, &tet) in tets.iter().enumerate() {
-                    let corners = model.corners()[tet as usize];
                     let shape = &model.gradients()[tet as usize];
-                    for (corner, shape) in corners.into_iter().zip(shape) {
-                        if corner == NOT_FREE {
-                            continue;
-                        }
-                        for column in 0..r {
+                    for column in 0..r {
+                        for (corner, shape) in shape.iter().enumerate() {
                             for i in 0..3 {
-                                let x = basis[(3 * corner as usize + i, column)];
+                                let x = rows[(12 * point + 3 * corner + i, column)];
                                 for j in 0..3 {
                                     gradients[(9 * point + 3 * i + j, column)] += x * shape[j];
                                 }
@@ -127,16 +125,7 @@ impl ReducedModel {
                 weight_m3: weight * model.volumes_m3()[tet as usize],
             })
             .collect();
-        let masses = model.lumped_mass_kg();
-        let mut gravity = Mat::zeros(r, 3);
-        for column in 0..r {
-            for (index, &v) in model.free_vertices().iter().enumerate() {
-                for axis in 0..3 {
-                    gravity[(column, axis)] +=
-                        masses[v as usize] * basis[(3 * index + axis, column)];
-                }
-            }
-        }
+        let gravity = basis.under_loads(|| model.translation_loads());
         let mut reduced = ReducedModel {
             points,
             gradients,
@@ -225,6 +214,11 @@ impl ReducedModel {
     }
 }
 
+/// Degrees of freedom at the corners of `tets`, twelve a tet.
+fn corner_dofs(model: &FullModel, tets: &[u32]) -> Vec<Option<usize>> {
+    tets.iter().flat_map(|&tet| model.corner_dofs(tet as usize)).collect()
+}
+
 struct Sums {
     energy_j: f64,
     force: Vec<f64>,
@@ -235,10 +229,10 @@ struct Sums {
 pub(crate) fn tables(
     model: &FullModel,
     rule: &Rule,
-    basis: MatRef<'_, f64>,
+    basis: &Combination,
     reduced: &ReducedModel,
 ) -> EvaluatorTables {
-    let r = basis.ncols();
+    let r = basis.n_columns();
     let of = |tet: &u32| *tet as usize;
     let flat =
         |m: &Mat<f64>| -> Vec<f64> { (0..m.nrows() * r).map(|i| m[(i / r, i % r)]).collect() };
@@ -252,7 +246,7 @@ pub(crate) fn tables(
             .iter()
             .flat_map(|t| model.gradients()[of(t)].into_iter().flatten())
             .collect(),
-        basis_rows: rule.tets.iter().flat_map(|t| flat(&model.corner_rows(of(t), basis))).collect(),
+        basis_rows: flat(&basis.rows(&corner_dofs(model, &rule.tets))),
         stitch_stiffness: flat(&reduced.stitch_stiffness),
         r,
     }

@@ -4,6 +4,7 @@ use crate::assembly::FullModel;
 use crate::assembly::mass::Mass;
 use crate::build::RayleighDamping;
 use crate::cubature::Rule;
+use crate::dictionary::Combination;
 use crate::edit::Stitch;
 use crate::factorization::{SparseCholesky, shifted};
 use crate::modes::stitched::StitchMatrix;
@@ -98,7 +99,8 @@ pub fn exact_reduced_model(
     let damping = RayleighDamping { mass_per_s: 0.0, stiffness_s: 0.0 };
     let rule = Rule::exact(model.corners().len());
     let stretch = StitchMatrix::new(model, stitches).transpose_times(basis);
-    ReducedModel::new(model, &rule, basis, stretch.as_ref(), damping, 0)
+    let basis = Combination::of_dense(basis.to_owned());
+    ReducedModel::new(model, &rule, &basis, stretch.as_ref(), damping, 0)
 }
 
 fn column(x: &[f64]) -> MatRef<'_, f64> {

@@ -10,5 +10,6 @@ mod newmark;
 mod reduced;
 mod references;
 mod refusals;
+mod seams;
 mod updates;
 mod vega;

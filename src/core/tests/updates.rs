@@ -321,16 +321,3 @@ fn two_free_halves_stitched_together_keep_six_rigid_motions() {
     let hinged = next(&before, &stitch(&bar.pairs[..1], STITCH_N_M), &tight());
     assert_eq!(hinged.n_rigid_modes(), 9);
 }
-
-#[test]
-fn seams_prepared_ahead_change_nothing_but_time() {
-    let bar = bar(Cut::HalfDepth);
-    let plain = start(&bar, 10);
-    let seams = build::BuildParams { seams: bar.pairs.clone(), ..params(&bar, 10) };
-    let prepared = build::build(bar.mesh.clone(), &seams, &Uncontrolled).unwrap();
-    let edit = stitch(&bar.pairs, STITCH_N_M);
-    let [a, b] =
-        [&plain, &prepared].map(|previous| next(previous, &edit, &by(Method::Flexibility)));
-    let error = spectrum_error(a.eigenvalues_per_s2(), b.eigenvalues_per_s2());
-    assert!(error < 1e-9, "{error:e}");
-}

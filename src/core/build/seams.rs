@@ -1,0 +1,98 @@
+//! Seams: what makes an edit cheap, prepared before it comes.
+
+use super::StageClock;
+use super::artifacts::{Artifacts, Prepared};
+use super::derive::{Body, new_derivatives};
+use super::params::{self, BuildError};
+use super::span::combine;
+use crate::control::{Control, Stage};
+use crate::edit::Stitch;
+use crate::modes::LinearModes;
+use crate::modes::prepared::PreparedStitches;
+use crate::modes::seams::{BaseModes, Seams};
+use crate::modes::stitched::{FlexibilityColumns, StitchedStiffness};
+use std::sync::Arc;
+
+/// Stiffness of the springs that close a seam for its load cases, in terms of the seam's own: close to
+/// rigid, and far from where pairs that share vertices would make the flexibility singular.
+const CLOSING_STIFFNESS: f64 = 1e4;
+
+/// Prepares `pairs` for edits of every generation that shares the base body of `body`: an edit of
+/// prepared pairs takes no sparse solve. Edits may go on meanwhile.
+///
+/// Beside the pairs' own columns this makes load cases: modal derivatives of the body with all prepared
+/// pairs closed. What a stitched body's derivatives have in common with those of the open and of
+/// the closed body, an edit takes from them.
+pub fn prepare_seams(
+    body: &Artifacts,
+    pairs: &[[u32; 2]],
+    control: &dyn Control,
+) -> Result<(), BuildError> {
+    let prepared = &body.prepared;
+    params::check_seams(&prepared.model, pairs)?;
+    let seams = prepared.seams();
+    let missing: Vec<[u32; 2]> =
+        pairs.iter().copied().filter(|pair| seams.position(*pair).is_none()).collect();
+    if missing.is_empty() {
+        return Ok(());
+    }
+    let mut clock = StageClock::start(control);
+    let extended = extended(prepared, &seams, &missing, control)?;
+    clock.finish(Stage::Seams)?;
+    let closed = closed(prepared, &extended, control)?;
+    prepared.offer_seams(Arc::new(closed));
+    Ok(())
+}
+
+/// These seams and `pairs`, offered to later edits too.
+pub(super) fn extended(
+    prepared: &Prepared,
+    seams: &Seams,
+    pairs: &[[u32; 2]],
+    control: &dyn Control,
+) -> Result<Arc<Seams>, BuildError> {
+    let seams = Arc::new(seams.extended(&base_modes(prepared), pairs, control)?);
+    prepared.offer_seams(seams.clone());
+    Ok(seams)
+}
+
+/// The base body as seams see it.
+pub(super) fn base_modes(prepared: &Prepared) -> BaseModes<'_> {
+    BaseModes {
+        model: &prepared.model,
+        mass: &prepared.mass,
+        factor: &prepared.factor,
+        x: [prepared.rigid(), prepared.modes()],
+    }
+}
+
+/// `seams` with the load cases of the open body and of the one with every pair closed.
+fn closed(prepared: &Prepared, seams: &Seams, control: &dyn Control) -> Result<Seams, BuildError> {
+    let Prepared { params, model, mass, factor, sigma, .. } = prepared;
+    let pairs: Vec<[u32; 2]> = seams.pairs().collect();
+    let positions: Vec<usize> = pairs.iter().filter_map(|pair| seams.position(*pair)).collect();
+    let own = seams.moment(0, &positions);
+    let trace: f64 = (0..own.nrows()).map(|i| own[(i, i)]).sum();
+    let stiffness_n_m = CLOSING_STIFFNESS * own.nrows() as f64 / trace;
+    let stitches: Vec<Stitch> =
+        pairs.iter().map(|&pair| Stitch { id: 0, pair, stiffness_n_m }).collect();
+    let n_rigid = prepared.rigid().ncols();
+    let lambda = &prepared.spectrum.eigenvalues;
+    let closing = PreparedStitches::new(seams, &positions, &stitches, n_rigid, lambda, *sigma)?;
+    let n_left = closing.rigid_left()?.ncols();
+    let (modes, spectrum) = closing.modes(n_left, params.n_derivative_modes)?;
+    let count = spectrum.eigenvalues.len();
+    let shapes = combine(prepared, seams, &positions, &modes).dense().to_owned();
+    let modes = LinearModes { shapes, eigenvalues: spectrum.eigenvalues };
+
+    // Their loads, solved for on the base body.
+    let none = FlexibilityColumns::new();
+    let stitched = StitchedStiffness::new(model, &prepared.stiffness, factor, &[], &none)?;
+    let base = LinearModes { shapes: prepared.modes().to_owned(), eigenvalues: lambda.clone() };
+    let rigid = prepared.rigid();
+    let body = Body { model, mass, stitched: &stitched, sigma: *sigma, rigid };
+    let (set, loads) = new_derivatives(&body, &modes, Some(&base), count, control)?;
+    let base = base_modes(prepared);
+    let cases = seams.cases().first_set().with(&base, modes, loads.as_ref(), set.shapes);
+    Ok(seams.with_cases(&base, cases))
+}

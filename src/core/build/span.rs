@@ -1,0 +1,223 @@
+//! What a basis is drawn from: dense columns, or coefficients over prepared ones.
+
+use super::artifacts::Prepared;
+use super::params::BuildError;
+use crate::basis::{self, WeightedDerivatives, mass_pca};
+use crate::dictionary::{Block, Combination, Dictionary};
+use crate::edit::Stitch;
+use crate::linalg::{self, SmallCholesky};
+use crate::modes::LinearModes;
+use crate::modes::prepared::{Coefficients, PreparedStitches};
+use crate::modes::seams::Seams;
+use crate::modes::stitched::StitchMatrix;
+use faer::{Mat, MatRef};
+use std::sync::Arc;
+
+/// Modal derivatives and where they come from.
+pub(super) struct DerivativeSet {
+    /// n×p.
+    pub(super) shapes: Mat<f64>,
+    /// The two modes of each.
+    pub(super) pairs: Vec<[usize; 2]>,
+    /// Their eigenvalues.
+    pub(super) eigenvalues: Vec<[f64; 2]>,
+    /// Worst relative residual of the solve.
+    pub(super) residual: f64,
+}
+
+/// The modes of a generation, and the derivatives that its basis holds beside them.
+pub(super) enum Span {
+    /// Columns of the size of the mesh.
+    Dense {
+        /// n×k.
+        modes: Mat<f64>,
+        /// The first set belongs to the modes of this generation.
+        derivatives: Vec<DerivativeSet>,
+    },
+    /// Coefficients over what seams hold.
+    Prepared(PreparedSpan),
+}
+
+/// See [`Span::Prepared`].
+pub(super) struct PreparedSpan {
+    pub(super) seams: Arc<Seams>,
+    /// Of the stitches in `seams`.
+    pub(super) positions: Vec<usize>,
+    pub(super) stitches: PreparedStitches,
+    pub(super) modes: Coefficients,
+    /// K̂⁻¹ of the load cases.
+    pub(super) responses: Coefficients,
+}
+
+/// A basis, and what the rest of a build needs to know of it.
+pub(super) struct Subspace {
+    pub(super) modes: Combination,
+    pub(super) basis: Combination,
+    /// AᵀU (3s×r).
+    pub(super) stretch: Mat<f64>,
+    /// UᵀKU without the stitches, where it is known already.
+    pub(super) stiffness: Option<Mat<f64>>,
+    /// UᵀM times the modes.
+    pub(super) of_modes: Mat<f64>,
+    /// UᵀM times the derivatives Φ_ij of these pairs of them.
+    pub(super) of_derivatives: Mat<f64>,
+    pub(super) pairs: Vec<[usize; 2]>,
+}
+
+impl Span {
+    /// Draws the basis; `weighing` are the eigenvalues that the modes are weighed by.
+    pub(super) fn reduce(
+        self,
+        prepared: &Prepared,
+        stitches: &[Stitch],
+        weighing: &[f64],
+    ) -> Result<Subspace, BuildError> {
+        match self {
+            Span::Dense { modes, derivatives } => {
+                reduce_dense(prepared, stitches, weighing, modes, derivatives)
+            }
+            Span::Prepared(span) => span.reduce(prepared, weighing),
+        }
+    }
+}
+
+fn reduce_dense(
+    prepared: &Prepared,
+    stitches: &[Stitch],
+    weighing: &[f64],
+    modes: Mat<f64>,
+    mut derivatives: Vec<DerivativeSet>,
+) -> Result<Subspace, BuildError> {
+    let params = &prepared.params;
+    let weighed = LinearModes { shapes: modes, eigenvalues: weighing.to_vec() };
+    let groups: Vec<WeightedDerivatives<'_>> = derivatives
+        .iter()
+        .map(|set| WeightedDerivatives {
+            shapes: set.shapes.as_ref(),
+            eigenvalues: set.eigenvalues.clone(),
+        })
+        .collect();
+    let (basis, _) = mass_pca(&prepared.mass, &weighed, &groups, params.basis_size, params.pca)?;
+    drop(groups);
+    let own = derivatives.swap_remove(0);
+    let stretch = StitchMatrix::new(&prepared.model, stitches).transpose_times(basis.as_ref());
+    Ok(Subspace {
+        of_modes: prepared.mass.inner(basis.as_ref(), weighed.shapes.as_ref()),
+        of_derivatives: prepared.mass.inner(basis.as_ref(), own.shapes.as_ref()),
+        pairs: own.pairs,
+        modes: Combination::of_dense(weighed.shapes),
+        basis: Combination::of_dense(basis),
+        stretch,
+        stiffness: None,
+    })
+}
+
+impl PreparedSpan {
+    fn reduce(self, prepared: &Prepared, weighing: &[f64]) -> Result<Subspace, BuildError> {
+        let PreparedSpan { stitches, modes, responses, .. } = &self;
+        let all = Coefficients::concatenate(&[modes, responses]);
+        let [mass, stiffness] = stitches.grams(&all);
+        let weights = basis::weights(weighing, &self.seams.cases().eigenvalues());
+        let mut w = basis::pca_of_gram(mass.as_ref(), &weights, prepared.params.basis_size)?;
+        let mut basis = all.times(w.as_ref());
+        // What rounding has left of non-orthogonality shows only in the combinations themselves.
+        let [own, _] = stitches.grams(&basis);
+        let turn = SmallCholesky::new(own.as_ref())?.whitening();
+        w = linalg::small_product(w.as_ref(), turn.as_ref());
+        basis = basis.times(turn.as_ref());
+        let onto = linalg::small_product(w.transpose(), mass.as_ref());
+        let k = modes.x.ncols();
+        let (combinations, pairs) = self.derivatives_of_own_modes();
+        let of_responses = onto.subcols(k, onto.ncols() - k);
+        let of_derivatives = linalg::small_product(of_responses, combinations.as_ref());
+        let inner = linalg::small_product(stiffness.as_ref(), w.as_ref());
+        Ok(Subspace {
+            stretch: stitches.stretch(&basis),
+            stiffness: Some(linalg::small_product(w.transpose(), inner.as_ref())),
+            of_modes: onto.subcols(0, k).to_owned(),
+            of_derivatives,
+            pairs,
+            modes: combine(prepared, &self.seams, &self.positions, modes),
+            basis: combine(prepared, &self.seams, &self.positions, &basis),
+        })
+    }
+
+    /// Combinations of the responses that are about the derivatives of this generation's modes: those are
+    /// bilinear in the modes, which the better of the sources spans in part.
+    fn derivatives_of_own_modes(&self) -> (Mat<f64>, Vec<[usize; 2]>) {
+        let cases = self.seams.cases();
+        let inner = self.stitches.on_sources(&self.modes);
+        let mut best: Option<(f64, usize, usize, usize)> = None;
+        let (mut row, mut case) = (0, 0);
+        for source in &cases.sources {
+            let m = source.eigenvalues.len();
+            let count = m.min(inner.ncols());
+            let share = inner.submatrix(row, 0, m, count).squared_norm_l2();
+            if best.is_none_or(|(other, ..)| share > other) {
+                best = Some((share, row, case, m));
+            }
+            row += m;
+            case += m * (m + 1) / 2;
+        }
+        let Some((_, row, case, m)) = best else { return (Mat::zeros(cases.len(), 0), Vec::new()) };
+        let t = inner.subrows(row, m);
+        let pairs = crate::derivatives::pairs(m.min(inner.ncols()));
+        let of_source = crate::derivatives::pairs(m);
+        let combinations = Mat::from_fn(cases.len(), pairs.len(), |at, column| {
+            let Some([k, l]) = at.checked_sub(case).and_then(|at| of_source.get(at)) else {
+                return 0.0;
+            };
+            let [i, j] = pairs[column];
+            let (k, l) = (*k, *l);
+            let crossed = if k == l { 0.0 } else { t[(l, i)] * t[(k, j)] };
+            t[(k, i)] * t[(l, j)] + crossed
+        });
+        (combinations, pairs)
+    }
+}
+
+/// Vectors over the blocks of the base body's modes, of the seams and of the load cases.
+pub(super) fn combine(
+    prepared: &Prepared,
+    seams: &Seams,
+    positions: &[usize],
+    y: &Coefficients,
+) -> Combination {
+    let count = y.x.ncols();
+    let mut blocks: Vec<Arc<Block>> = Vec::new();
+    let mut rows: Vec<Mat<f64>> = Vec::new();
+    let mut at = 0;
+    for block in &prepared.x {
+        let k = block.columns.ncols();
+        if k > 0 {
+            rows.push(y.x.subrows(at, k).to_owned());
+            blocks.push(block.clone());
+        }
+        at += k;
+    }
+    let first_of_seams = blocks.len();
+    for block in seams.blocks() {
+        rows.push(Mat::zeros(block.columns.ncols(), count));
+        blocks.push(block.clone());
+    }
+    for (i, &position) in positions.iter().enumerate() {
+        let (block, s1, s2) = seams.columns_of(position);
+        let rows = &mut rows[first_of_seams + block];
+        for (to, from) in [(s1, &y.s1), (s2, &y.s2)] {
+            rows.as_mut().subrows_mut(to, 3).copy_from(from.subrows(3 * i, 3));
+        }
+    }
+    let mut at = 0;
+    for block in &seams.cases().blocks {
+        let q = block.columns.ncols();
+        rows.push(y.f.subrows(at, q).to_owned());
+        blocks.push(block.clone());
+        at += q;
+    }
+    // What nothing uses is not part of the dictionary.
+    let used = |rows: &Mat<f64>| rows.col_iter().any(|c| c.iter().any(|x| *x != 0.0));
+    let (blocks, rows): (Vec<_>, Vec<_>) =
+        blocks.into_iter().zip(rows).filter(|(_, rows)| used(rows)).unzip();
+    let all: Vec<MatRef<'_, f64>> = rows.iter().map(Mat::as_ref).collect();
+    Combination::new(Dictionary::new(blocks), linalg::stacked(&all))
+}

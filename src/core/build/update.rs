@@ -1,0 +1,268 @@
+//! Edits from the base body's factorization: inside a seam without a solve, elsewhere by refinement, or
+//! by the paper's low-rank update.
+
+use super::artifacts::Prepared;
+use super::derive::{Body, new_derivatives, reused_derivatives};
+use super::finish::Draft;
+use super::params::BuildError;
+use super::span::{PreparedSpan, Span};
+use super::{Base, StageClock, seams};
+use crate::assembly::mass::Mass;
+use crate::control::{self, Stage};
+use crate::cubature::Rule;
+use crate::derivatives::NEW_DERIVATIVE_MODES;
+use crate::edit::{EditState, sorted};
+use crate::linalg::{self, DenseError};
+use crate::modes::low_rank::{self, MassInverse};
+use crate::modes::prepared::PreparedStitches;
+use crate::modes::stitched::{
+    FlexibilityColumns, StitchMatrix, StitchedStiffness, flexibility_columns,
+};
+use crate::modes::{self, AuditedSpectrum, LinearModes, flexibility, rigid};
+use faer::{Mat, MatRef};
+use std::sync::Arc;
+
+/// Pairs without a seam that an edit makes one for on the way: at three solves a column they cost what
+/// refining the modes of an edit of any size does.
+const PREPARED_ON_THE_WAY: usize = 4;
+
+/// Everything up to the derivatives, to the relative eigenvalue error `tolerance`. `reuse` is the
+/// cubature rule in use.
+pub(super) fn by_flexibility(
+    base: Base,
+    state: EditState,
+    reuse: Option<(Rule, f64)>,
+    tolerance: f64,
+    clock: &mut StageClock<'_>,
+) -> Result<Draft, BuildError> {
+    match in_seams(&base.prepared, &state, tolerance, clock)? {
+        Some((spectrum, n_rigid_modes, span)) => Ok(Draft {
+            prepared: base.prepared,
+            columns: base.columns,
+            state,
+            n_rigid_modes,
+            weighing: spectrum.eigenvalues.clone(),
+            spectrum,
+            // What the shift leaves of it is bounded and part of the audit of modes.
+            derivative_residual: 0.0,
+            span: Span::Prepared(span),
+            reuse,
+            warnings: Vec::new(),
+        }),
+        None => refined(base, state, reuse, Some(tolerance), clock),
+    }
+}
+
+/// The paper's update (\[M16\] §4.1).
+pub(super) fn by_low_rank(
+    base: Base,
+    state: EditState,
+    reuse: Option<(Rule, f64)>,
+    clock: &mut StageClock<'_>,
+) -> Result<Draft, BuildError> {
+    refined(base, state, reuse, None, clock)
+}
+
+/// Modes and derivatives from what seams hold, if those hold every stitch and meet the tolerance.
+fn in_seams(
+    prepared: &Arc<Prepared>,
+    state: &EditState,
+    tolerance: f64,
+    clock: &mut StageClock<'_>,
+) -> Result<Option<(AuditedSpectrum, usize, PreparedSpan)>, BuildError> {
+    let mut seams = prepared.seams();
+    let stitches = state.stitches();
+    if seams.find(stitches).is_none() {
+        let known: std::collections::BTreeSet<_> = seams.pairs().collect();
+        let missing: Vec<[u32; 2]> =
+            stitches.iter().map(|s| sorted(s.pair)).filter(|pair| !known.contains(pair)).collect();
+        if missing.len() > PREPARED_ON_THE_WAY {
+            return Ok(None);
+        }
+        seams = seams::extended(prepared, &seams, &missing, clock.control)?;
+        clock.finish(Stage::Seams)?;
+    }
+    let Some(positions) = seams.find(stitches) else { return Ok(None) };
+    let prepared_stitches = PreparedStitches::new(
+        &seams,
+        &positions,
+        stitches,
+        prepared.rigid().ncols(),
+        &prepared.spectrum.eigenvalues,
+        prepared.sigma,
+    )?;
+    let left = prepared_stitches.rigid_left()?;
+    let n_modes = prepared.params.n_modes;
+    let (modes, spectrum) = if stitches.is_empty() {
+        let spectrum = prepared.spectrum.lowest(n_modes);
+        (prepared_stitches.unstitched(spectrum.eigenvalues.len()), spectrum)
+    } else {
+        prepared_stitches.modes(left.ncols(), n_modes)?
+    };
+    let enough = spectrum.eigenvalues.len() == n_modes.min(prepared.spectrum.eigenvalues.len());
+    if !enough || !spectrum.beyond(tolerance).is_empty() {
+        return Ok(None);
+    }
+    clock.finish(Stage::Modes)?;
+    let responses = prepared_stitches.load_responses(&modes, &spectrum.eigenvalues, left.as_ref());
+    clock.finish(Stage::Derivatives)?;
+    let span = PreparedSpan { seams, positions, stitches: prepared_stitches, modes, responses };
+    Ok(Some((spectrum, left.ncols(), span)))
+}
+
+/// With columns of the size of the mesh: by flexibility to `tolerance`, or by the low-rank update if
+/// there is none.
+fn refined(
+    base: Base,
+    state: EditState,
+    reuse: Option<(Rule, f64)>,
+    tolerance: Option<f64>,
+    clock: &mut StageClock<'_>,
+) -> Result<Draft, BuildError> {
+    let prepared = base.prepared.clone();
+    let Prepared { model, mass, factor, sigma, .. } = &*prepared;
+    let control = clock.control;
+    let mut warnings = Vec::new();
+    let seams = prepared.seams();
+    let base_modes = seams::base_modes(&prepared);
+    let theta = prepared.theta();
+    let outside = state.stitches().iter().map(|s| sorted(s.pair));
+    let outside = outside.filter(|pair| seams.position(*pair).is_none());
+    let columns = flexibility_columns(model, factor, &base.columns, outside);
+    let inside = seams.flexibility_columns(&base_modes, &theta, state.stitches());
+    let all: FlexibilityColumns =
+        columns.iter().chain(&inside).map(|(pair, c)| (*pair, c.clone())).collect();
+    let stitched =
+        StitchedStiffness::new(model, &prepared.stiffness, factor, state.stitches(), &all)?;
+    drop(all);
+    control::check(control)?;
+    let left = rigid_left(stitched.stitch_matrix(), prepared.rigid())?;
+    let n_modes = prepared.params.n_modes;
+
+    let (shapes, spectrum, weighing) = match tolerance {
+        None => {
+            warnings.push(
+                "low_rank treats all higher modes as having no stiffness: its frequencies are \
+                 those of that approximation, not of the stitched body (see the residuals)"
+                    .into(),
+            );
+            let modes = low_rank_modes(&prepared, &stitched, left.ncols(), n_modes)?;
+            // Its eigenvalues can vanish; the true Rayleigh quotients take their place as weights.
+            let weighing = rayleigh_quotients(&stitched, &modes);
+            let residuals = audit(&stitched, mass, &modes, *sigma);
+            let LinearModes { shapes, eigenvalues } = modes;
+            let error_estimates = residuals.clone();
+            (shapes, AuditedSpectrum { eigenvalues, residuals, error_estimates }, weighing)
+        }
+        Some(tolerance) => {
+            let problem = flexibility::Update {
+                stitched: &stitched,
+                mass,
+                sigma: *sigma,
+                rigid: prepared.rigid(),
+                n_rigid_left: left.ncols(),
+                base: prepared.modes(),
+                eigenvalues: &prepared.spectrum.eigenvalues,
+                n_modes,
+                tolerance,
+            };
+            let flexibility::Updated { shapes, spectrum, .. } =
+                flexibility::update(&problem, control)?;
+            let worst = spectrum.worst_of_lower_half();
+            if worst > tolerance {
+                warnings.push(format!(
+                    "the lower half of the modes reached a relative eigenvalue error of \
+                     {worst:.1e}, not {tolerance:.1e}"
+                ));
+            }
+            let weighing = spectrum.eigenvalues.clone();
+            (shapes, spectrum, weighing)
+        }
+    };
+    clock.finish(Stage::Modes)?;
+
+    let body = Body { model, mass, stitched: &stitched, sigma: *sigma, rigid: left.as_ref() };
+    let weighed = LinearModes { shapes, eigenvalues: weighing.clone() };
+    let accurate = tolerance.map(|_| &weighed);
+    let count =
+        NEW_DERIVATIVE_MODES.min(prepared.params.n_derivative_modes).min(weighed.eigenvalues.len());
+    // Side by side: each has passages that only one thread can do.
+    let (new, reused) = rayon::join(
+        || new_derivatives(&body, &weighed, accurate, count, control),
+        || reused_derivatives(&prepared, seams.cases(), &body, accurate),
+    );
+    let (new, _) = new?;
+    clock.finish(Stage::Derivatives)?;
+    let n_rigid_modes = left.ncols();
+    drop(stitched);
+    Ok(Draft {
+        columns,
+        state,
+        n_rigid_modes,
+        spectrum,
+        weighing,
+        derivative_residual: new.residual,
+        span: Span::Dense { modes: weighed.shapes, derivatives: vec![new, reused] },
+        reuse,
+        warnings,
+        prepared: base.prepared,
+    })
+}
+
+/// The rigid motions that stretch no stitch (n×k, M-orthonormal).
+pub(super) fn rigid_left(a: &StitchMatrix, rigid: MatRef<'_, f64>) -> Result<Mat<f64>, DenseError> {
+    let left = rigid::unstretched(a.gaps(rigid).as_ref())?;
+    Ok(linalg::product(rigid, left.as_ref()))
+}
+
+/// Relative residuals of modes that come without an audit of their own.
+fn audit(
+    stitched: &StitchedStiffness<'_>,
+    mass: &Mass,
+    modes: &LinearModes,
+    sigma: f64,
+) -> Vec<f64> {
+    let shapes = modes.shapes.as_ref();
+    let product = stitched.multiply(shapes);
+    let residual = modes::residual_vectors(product, mass, shapes, &modes.eigenvalues);
+    let solved = stitched.solve(residual.as_ref());
+    modes::relative_residuals(residual.as_ref(), solved.as_ref(), &modes.eigenvalues, sigma)
+}
+
+/// The paper's update, guards included in what it starts from; the motions that remain rigid are
+/// its lowest and are left out.
+fn low_rank_modes(
+    prepared: &Prepared,
+    stitched: &StitchedStiffness<'_>,
+    n_rigid_left: usize,
+    n_modes: usize,
+) -> Result<LinearModes, BuildError> {
+    let inverse = match prepared.mass_inverse.get() {
+        Some(inverse) => inverse,
+        None => {
+            let made = MassInverse::new(&prepared.mass)
+                .map_err(|error| BuildError::of_factorization(error, &prepared.model))?;
+            prepared.mass_inverse.get_or_init(|| made)
+        }
+    };
+    let u = linalg::concatenate(&[prepared.rigid(), prepared.modes()]);
+    let lambda: Vec<f64> = std::iter::repeat_n(0.0, prepared.rigid().ncols())
+        .chain(prepared.spectrum.eigenvalues.iter().copied())
+        .collect();
+    let a = stitched.stitch_matrix();
+    let all = low_rank::update(u.as_ref(), &lambda, a, inverse, n_rigid_left + n_modes)?;
+    let count = all.eigenvalues.len().saturating_sub(n_rigid_left);
+    let shapes = all.shapes.subcols(n_rigid_left, count);
+    // Through the inverse root of a Gram matrix they come orthonormal to 1e-7 only.
+    let gram = linalg::SmallCholesky::new(prepared.mass.inner(shapes, shapes).as_ref())?;
+    Ok(LinearModes {
+        shapes: linalg::product(shapes, gram.whitening().as_ref()),
+        eigenvalues: all.eigenvalues[n_rigid_left..].to_vec(),
+    })
+}
+
+/// φᵀK̂φ of M-normalised shapes.
+fn rayleigh_quotients(stitched: &StitchedStiffness<'_>, modes: &LinearModes) -> Vec<f64> {
+    let product = stitched.multiply(modes.shapes.as_ref());
+    (0..product.ncols()).map(|j| modes.shapes.col(j).transpose() * product.col(j)).collect()
+}

@@ -1,0 +1,229 @@
+//! Edits inside seams: no solve, and the same body.
+
+use crate::bodies::{STITCH_N_M, bar, by, params, spectrum_error, stitch};
+use faer::Mat;
+use sutura_core::build::{self, Artifacts, BuildParams, Method, RebuildParams};
+use sutura_core::control::{Control, Stage, Uncontrolled};
+use sutura_core::edit::Edit;
+use sutura_core::linalg;
+use sutura_core::testing::{BarMesh, Cut};
+
+/// A bar with its cut prepared.
+fn prepared(bar: &BarMesh, params: &BuildParams) -> Artifacts {
+    let body = build::build(bar.mesh.clone(), params, &Uncontrolled).unwrap();
+    build::prepare_seams(&body, &bar.pairs, &Uncontrolled).unwrap();
+    body
+}
+
+fn next(previous: &Artifacts, edits: &[Edit], method: Method) -> Artifacts {
+    build::rebuild(previous, edits, &by(method), &Uncontrolled).unwrap().0
+}
+
+/// Whether a generation took its modes from a seam: the only way without columns of its own.
+fn took_no_solve(body: &Artifacts) -> bool {
+    body.dictionary_blocks().iter().all(|block| body.shared_blocks().contains(block))
+}
+
+fn errors(found: &Artifacts, exact: &Artifacts) -> [f64; 2] {
+    let (found, exact) = (found.eigenvalues_per_s2(), exact.eigenvalues_per_s2());
+    assert_eq!(found.len(), exact.len());
+    let half = found.len() / 2;
+    [spectrum_error(&found[..half], &exact[..half]), spectrum_error(&found[half..], &exact[half..])]
+}
+
+#[test]
+fn an_edit_inside_a_seam_agrees_with_from_scratch() {
+    for cut in [Cut::HalfDepth, Cut::Through] {
+        let bar = bar(cut);
+        let open = prepared(&bar, &params(&bar, 20));
+        // Springs from hardly there to rigid, all pairs and some.
+        for (pairs, stiffness) in [
+            (&bar.pairs[..], STITCH_N_M),
+            (&bar.pairs[..], 1e2),
+            (&bar.pairs[..], 1e10),
+            (&bar.pairs[3..7], 1e5),
+        ] {
+            let edit = stitch(pairs, stiffness);
+            let exact = next(&open, &edit, Method::FromScratch);
+            let updated = next(&open, &edit, Method::Flexibility);
+            assert!(took_no_solve(&updated), "{cut:?} {stiffness:e}");
+            assert_eq!(updated.n_rigid_modes(), exact.n_rigid_modes());
+            let [lower, upper] = errors(&updated, &exact);
+            assert!(lower < 1e-4 && upper < 1e-2, "{cut:?} {stiffness:e}: {lower:e} {upper:e}");
+            // Not below the truth, by more than rounding: they are Rayleigh quotients.
+            let (found, exact) = (updated.eigenvalues_per_s2(), exact.eigenvalues_per_s2());
+            for (found, exact) in found.iter().zip(exact) {
+                assert!(found / exact > 1.0 - 1e-7, "{cut:?} {stiffness:e}: {found} {exact}");
+            }
+        }
+    }
+}
+
+#[test]
+fn its_audit_bounds_the_errors() {
+    for cut in [Cut::HalfDepth, Cut::Through] {
+        let bar = bar(cut);
+        let open = prepared(&bar, &params(&bar, 20));
+        let edit = stitch(&bar.pairs, STITCH_N_M);
+        let exact = next(&open, &edit, Method::FromScratch);
+        let updated = next(&open, &edit, Method::Flexibility);
+        let truth = exact.eigenvalues_per_s2();
+        for (i, (lambda, residual)) in
+            updated.eigenvalues_per_s2().iter().zip(updated.residuals()).enumerate()
+        {
+            let sigma = open.shift_per_s2();
+            let nearest = truth.iter().map(|e| ((lambda + sigma) / (e + sigma) - 1.0).abs());
+            let nearest = nearest.fold(f64::INFINITY, f64::min);
+            assert!(nearest <= 1.01 * residual + 1e-9, "{cut:?} {i}: {nearest:e} {residual:e}");
+        }
+        for (i, estimate) in updated.error_estimates().iter().enumerate() {
+            let error = (updated.eigenvalues_per_s2()[i] / truth[i] - 1.0).abs();
+            assert!(error <= 3.0 * estimate + 1e-8, "{cut:?} {i}: {error:e} {estimate:e}");
+        }
+    }
+}
+
+#[test]
+fn its_modes_and_basis_are_mass_orthonormal_and_its_reduced_model_exact() {
+    for cut in [Cut::HalfDepth, Cut::Through] {
+        let bar = bar(cut);
+        let params = BuildParams { basis_size: 24, ..params(&bar, 12) };
+        let open = prepared(&bar, &params);
+        let updated = next(&open, &stitch(&bar.pairs, STITCH_N_M), Method::Flexibility);
+        assert!(took_no_solve(&updated));
+        let masses = open.lumped_mass_kg();
+        let gram = |columns: &[Vec<f64>]| {
+            Mat::from_fn(columns.len(), columns.len(), |i, j| {
+                let pairs = columns[i].iter().zip(&columns[j]).enumerate();
+                pairs.map(|(at, (x, y))| masses[at / 3] * x * y).sum::<f64>()
+            })
+        };
+        let modes: Vec<_> = (0..updated.n_modes()).map(|i| updated.mode(i)).collect();
+        let basis: Vec<_> = (0..updated.basis_size()).map(|i| updated.basis_column(i)).collect();
+        for columns in [modes, basis] {
+            let error = linalg::distance_from_identity(gram(&columns).as_ref());
+            assert!(error < 1e-8, "{cut:?}: {error:e}");
+        }
+        // Every tet is summed: the model by rows and by dense columns are the same.
+        let q: Vec<f64> = (0..updated.basis_size()).map(|i| 1e-4 / (1.0 + i as f64)).collect();
+        let (model, exact) = (updated.model().evaluate(&q), updated.evaluate_exact(&q));
+        assert!((model.energy_j / exact.energy_j - 1.0).abs() < 1e-9);
+        let scale = exact.stiffness.iter().fold(0.0f64, |m, x| m.max(x.abs()));
+        for (a, b) in model.stiffness.iter().zip(&exact.stiffness) {
+            assert!((a - b).abs() < 1e-9 * scale);
+        }
+    }
+}
+
+#[test]
+fn a_basis_from_a_seam_serves_as_well_as_one_from_scratch() {
+    // The static displacement of the tip under loads that bend the stitched bar by a fifth of its
+    // length, in either basis.
+    for cut in [Cut::HalfDepth, Cut::Through] {
+        let bar = bar(cut);
+        let params = BuildParams { basis_size: 40, n_derivative_modes: 8, ..params(&bar, 20) };
+        let open = prepared(&bar, &params);
+        let edit = stitch(&bar.pairs, STITCH_N_M);
+        let exact = next(&open, &edit, Method::FromScratch);
+        let updated = next(&open, &edit, Method::Flexibility);
+        assert!(took_no_solve(&updated));
+        let vertices = open.mesh().vertices();
+        let tip = (0..vertices.len() as u32)
+            .max_by(|&a, &b| vertices[a as usize][0].total_cmp(&vertices[b as usize][0]))
+            .unwrap();
+        let moved = |body: &Artifacts, force: [f64; 3]| {
+            let load = body.vertex_load(tip, force);
+            let q = body.model().solve_static(&load, &vec![0.0; load.len()]).unwrap();
+            let rows = body.basis_rows(tip);
+            std::array::from_fn::<f64, 3, _>(|axis| {
+                rows.iter().zip(&q).map(|(row, q)| row[axis] * q).sum()
+            })
+        };
+        for force in [[0.0, 0.0, -1.2], [0.0, 1.0, 0.0], [0.4, 0.8, 0.6]] {
+            let (a, b) = (moved(&updated, force), moved(&exact, force));
+            let gap = (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt();
+            let size = b.iter().map(|x| x * x).sum::<f64>().sqrt();
+            assert!(size > 0.005, "not a test: {size}");
+            assert!(gap < 0.02 * size, "{cut:?}: {gap:e} of {size:e}");
+        }
+    }
+}
+
+#[test]
+fn unstitching_gives_the_first_spectrum_back() {
+    let bar = bar(Cut::Through);
+    let open = prepared(&bar, &params(&bar, 15));
+    let stitched = next(&open, &stitch(&bar.pairs, STITCH_N_M), Method::Flexibility);
+    let undone = next(&stitched, &[Edit::UnstitchAll], Method::Flexibility);
+    assert_eq!(undone.n_rigid_modes(), open.n_rigid_modes());
+    let error = spectrum_error(undone.eigenvalues_per_s2(), open.eigenvalues_per_s2());
+    assert!(error < 1e-10, "{error:e}");
+}
+
+#[test]
+fn pairs_added_to_a_seam_are_as_those_prepared_together() {
+    let bar = bar(Cut::HalfDepth);
+    let together = prepared(&bar, &params(&bar, 12));
+    let apart = build::build(bar.mesh.clone(), &params(&bar, 12), &Uncontrolled).unwrap();
+    for pairs in bar.pairs.chunks(5) {
+        build::prepare_seams(&apart, pairs, &Uncontrolled).unwrap();
+    }
+    let edit = stitch(&bar.pairs, STITCH_N_M);
+    let [a, b] = [&together, &apart].map(|open| next(open, &edit, Method::Flexibility));
+    assert!(took_no_solve(&a) && took_no_solve(&b));
+    let error = spectrum_error(a.eigenvalues_per_s2(), b.eigenvalues_per_s2());
+    // Rounding, magnified where Y₁ and Y₂ lean on each other; far below the tolerance.
+    assert!(error < 1e-6, "{error:e}");
+}
+
+#[test]
+fn a_tolerance_that_a_seam_cannot_meet_is_met_by_solving() {
+    let bar = bar(Cut::HalfDepth);
+    let open = prepared(&bar, &params(&bar, 20));
+    let edit = stitch(&bar.pairs, STITCH_N_M);
+    let exact = next(&open, &edit, Method::FromScratch);
+    let tight = RebuildParams { method: Method::Flexibility, tolerance: 1e-11 };
+    let (updated, _) = build::rebuild(&open, &edit, &tight, &Uncontrolled).unwrap();
+    assert!(!took_no_solve(&updated));
+    assert!(errors(&updated, &exact)[0] < 1e-9);
+}
+
+#[test]
+fn a_few_stitches_outside_a_seam_join_it() {
+    let bar = bar(Cut::HalfDepth);
+    let open = build::build(bar.mesh.clone(), &params(&bar, 12), &Uncontrolled).unwrap();
+    build::prepare_seams(&open, &bar.pairs[..6], &Uncontrolled).unwrap();
+    let updated = next(&open, &stitch(&bar.pairs[..8], STITCH_N_M), Method::Flexibility);
+    assert!(took_no_solve(&updated));
+    let stages: Vec<Stage> = updated.timings().iter().map(|(stage, _)| *stage).collect();
+    assert!(stages.contains(&Stage::Seams));
+    // Once: the next edit finds them.
+    let again = next(&open, &stitch(&bar.pairs[..8], STITCH_N_M), Method::Flexibility);
+    assert!(again.timings().iter().all(|(stage, _)| *stage != Stage::Seams));
+    assert_eq!(again.eigenvalues_per_s2(), updated.eigenvalues_per_s2());
+}
+
+#[test]
+fn preparing_can_be_cancelled_and_refuses_what_a_stitch_would() {
+    let bar = bar(Cut::HalfDepth);
+    let open = build::build(bar.mesh.clone(), &params(&bar, 6), &Uncontrolled).unwrap();
+    let apart = [[bar.pairs[0][0], bar.pairs[5][1]]];
+    assert!(matches!(
+        build::prepare_seams(&open, &apart, &Uncontrolled),
+        Err(build::BuildError::Seam(_))
+    ));
+    struct Stopped;
+    impl Control for Stopped {
+        fn is_cancelled(&self) -> bool {
+            true
+        }
+        fn progress(&self, _: Stage, _: f64) {}
+        fn now(&self) -> std::time::Duration {
+            std::time::Duration::ZERO
+        }
+    }
+    assert!(matches!(
+        build::prepare_seams(&open, &bar.pairs, &Stopped),
+        Err(build::BuildError::Cancelled(_))
+    ));
+}
