@@ -133,7 +133,7 @@ fn next_generation(
     }
     let previous = restored.as_deref().unwrap_or(previous);
     check::n_stitches(previous.artifacts.stitches().len(), &request.edits, &config.limits)?;
-    let params = RebuildParams { method: request.method, tolerance: request.tolerance };
+    let params = RebuildParams::new(request.method, request.tolerance);
     let (artifacts, stitch_ids) = rebuild(&previous.artifacts, &request.edits, &params, control)?;
     if control.is_cancelled() {
         return Err(StoreError::Cancelled);

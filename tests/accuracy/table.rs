@@ -28,7 +28,7 @@ const WAYS: [&str; 6] = [
 ];
 
 fn rebuilt(before: &Artifacts, case: &Case, method: Method) -> Artifacts {
-    let params = RebuildParams { method, tolerance: 1e-4 };
+    let params = RebuildParams::new(method, 1e-4);
     build::rebuild(before, &case.edit, &params, &Uncontrolled).unwrap().0
 }
 

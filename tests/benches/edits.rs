@@ -141,7 +141,7 @@ fn rebuilds(
     repeat: usize,
 ) -> Result<(Rebuilds, Artifacts), Failure> {
     let edits = body.stitch(pairs);
-    let params = RebuildParams { method, tolerance: TOLERANCE };
+    let params = RebuildParams::new(method, TOLERANCE);
     let mut seconds: [Vec<f64>; 5] = Default::default();
     loop {
         let start = Instant::now();

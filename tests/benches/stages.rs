@@ -132,7 +132,7 @@ fn bench(criterion: &mut Criterion, body: &Body) -> Result<(), Failure> {
         ("edit, from_scratch", &base, Method::FromScratch),
     ];
     for (name, base, method) in methods {
-        let params = RebuildParams { method, tolerance: 1e-4 };
+        let params = RebuildParams::new(method, 1e-4);
         group.bench_function(name, |b| {
             b.iter(|| build::rebuild(base, &edits, &params, &Uncontrolled));
         });

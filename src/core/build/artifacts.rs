@@ -1,5 +1,6 @@
 //! One generation of a prepared body, and what can be asked of it.
 
+use super::certificate::{Certificate, Verdict};
 use super::params::BuildParams;
 use crate::assembly::FullModel;
 use crate::assembly::mass::Mass;
@@ -73,6 +74,8 @@ pub(super) struct Prepared {
     pub(super) x: [Arc<Block>; 2],
     /// Eigenvalues of the elastic modes, and their residuals.
     pub(super) spectrum: AuditedSpectrum,
+    /// What a derivative took, its solve above all: to tell what fits before a deadline.
+    pub(super) column_time: Duration,
     /// What is prepared for stitches, beside the load cases of derivatives: a cache that grows.
     seams: RwLock<Arc<Seams>>,
 }
@@ -90,6 +93,7 @@ impl Prepared {
         sigma: f64,
         x: [Arc<Block>; 2],
         spectrum: AuditedSpectrum,
+        column_time: Duration,
         seams: Seams,
     ) -> Prepared {
         Prepared {
@@ -103,6 +107,7 @@ impl Prepared {
             sigma,
             x,
             spectrum,
+            column_time,
             seams: RwLock::new(Arc::new(seams)),
         }
     }
@@ -145,6 +150,10 @@ pub struct Artifacts {
     pub(super) state: EditState,
     pub(super) n_rigid_modes: usize,
     pub(super) spectrum: AuditedSpectrum,
+    pub(super) verdict: Verdict,
+    pub(super) is_unfinished: bool,
+    /// Relative eigenvalue error asked for, if any.
+    pub(super) tolerance: Option<f64>,
     pub(super) modes: Combination,
     pub(super) basis: Combination,
     pub(super) rule: Rule,
@@ -223,6 +232,31 @@ impl Artifacts {
     /// Estimated relative errors of the eigenvalues.
     pub fn error_estimates(&self) -> &[f64] {
         &self.spectrum.error_estimates
+    }
+    /// What this generation claims of itself.
+    pub fn certificate(&self) -> Certificate {
+        let [lower, upper] = self.spectrum.worst_errors();
+        let cubature_error = self.cubature.map(|report| report.validation_error);
+        let allowed = self.params().cubature.map_or(f64::INFINITY, |cubature| cubature.tolerance);
+        let modes_met = self.tolerance.is_none_or(|t| self.spectrum.beyond(t).is_empty());
+        Certificate {
+            verdict: self.verdict,
+            lower_eigenvalue_error: lower,
+            upper_eigenvalue_error: upper,
+            basis_angle: self.spectrum.worst_angle(),
+            cubature_error,
+            is_met: modes_met && cubature_error.is_none_or(|error| error <= allowed),
+            is_unfinished: self.is_unfinished,
+        }
+    }
+    /// Those of `pairs` that no seam of the base body holds.
+    pub fn unprepared(&self, pairs: impl IntoIterator<Item = [u32; 2]>) -> Vec<[u32; 2]> {
+        let seams = self.prepared.seams();
+        pairs.into_iter().filter(|pair| seams.position(*pair).is_none()).collect()
+    }
+    /// Pairs that seams of the base body hold.
+    pub fn n_prepared_pairs(&self) -> usize {
+        self.prepared.seams().len()
     }
     /// Number of elastic modes kept.
     pub fn n_modes(&self) -> usize {

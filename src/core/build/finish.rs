@@ -2,9 +2,10 @@
 
 use super::StageClock;
 use super::artifacts::{Artifacts, CubatureReport, CubatureSource, Prepared};
+use super::certificate::Verdict;
 use super::params::{BuildError, CubatureParams};
 use super::span::{Span, Subspace};
-use crate::control::{self, Control, Stage};
+use crate::control::{self, Stage};
 use crate::cubature::poses::{PoseSource, Shapes};
 use crate::cubature::{self, EnergyNorm, Rule, Samples, Training};
 use crate::dictionary::Combination;
@@ -47,6 +48,9 @@ pub(super) struct Draft {
     pub(super) state: EditState,
     pub(super) n_rigid_modes: usize,
     pub(super) spectrum: AuditedSpectrum,
+    pub(super) verdict: Verdict,
+    /// Relative eigenvalue error asked for, if any.
+    pub(super) tolerance: Option<f64>,
     /// Eigenvalues by which the modes are weighed; not always their own.
     pub(super) weighing: Vec<f64>,
     pub(super) span: Span,
@@ -84,7 +88,7 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
         None => (Rule::exact(prepared.model.corners().len()), None, 0.0),
         Some(cubature) => {
             let fit = Fit::new(&prepared, &subspace, &weighing, cubature)?;
-            let (rule, report, trained_error) = fit.rule(draft.reuse, clock.control)?;
+            let (rule, report, trained_error) = fit.rule(draft.reuse, &mut clock)?;
             if report.validation_error > cubature.tolerance {
                 warnings.push(format!(
                     "the cubature's relative force error is {:.1e}, above the tolerance of {:.1e}: \
@@ -109,6 +113,9 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
     Ok(Artifacts {
         columns: draft.columns,
         n_rigid_modes: draft.n_rigid_modes,
+        verdict: draft.verdict,
+        tolerance: draft.tolerance,
+        is_unfinished: clock.is_unfinished,
         spectrum: draft.spectrum,
         modes: subspace.modes,
         basis: subspace.basis,
@@ -169,8 +176,9 @@ impl<'a> Fit<'a> {
     fn rule(
         &self,
         reuse: Option<(Rule, f64)>,
-        control: &dyn Control,
+        clock: &mut StageClock<'_>,
     ) -> Result<(Rule, CubatureReport, f64), BuildError> {
+        let control = clock.control;
         let CubatureParams { n_points, n_training_poses, tolerance, seed, selection } =
             *self.params;
         control::check(control)?;
@@ -180,6 +188,7 @@ impl<'a> Fit<'a> {
         };
         let n_validation =
             ((VALIDATION_SHARE * n_training_poses as f64) as usize).max(LEAST_VALIDATION_POSES);
+        let begin = control.now();
         let validation = samples(n_validation, seed ^ VALIDATION_SEED)?;
         let report = |rule: &Rule, source| CubatureReport {
             n_points: rule.tets.len(),
@@ -194,6 +203,11 @@ impl<'a> Fit<'a> {
                 return Ok((old, reused, trained_error));
             }
             let n_poses = (REFITTING_SHARE * n_training_poses as f64).ceil() as usize;
+            // Both steps take the forces of so many more poses, and about as long again to fit.
+            let pose_time = clock.control.now().saturating_sub(begin) / n_validation as u32;
+            if clock.skips(2 * pose_time * n_poses as u32) {
+                return Ok((old, reused, trained_error));
+            }
             let refit = cubature::refit(&samples(n_poses, seed)?, &old, control)?;
             let refitted = report(&refit, CubatureSource::Refitted);
             let (rule, best) = if refitted.validation_error < reused.validation_error {
@@ -202,6 +216,9 @@ impl<'a> Fit<'a> {
                 (old, reused)
             };
             if best.validation_error <= acceptable {
+                return Ok((rule, best, trained_error));
+            }
+            if clock.skips(2 * pose_time * n_training_poses as u32) {
                 return Ok((rule, best, trained_error));
             }
             source = CubatureSource::Retrained;

@@ -2,6 +2,7 @@
 //! [`prepare_seams`] makes those edits cheap that can be foreseen.
 
 mod artifacts;
+mod certificate;
 mod derive;
 mod finish;
 mod params;
@@ -15,6 +16,7 @@ pub use crate::basis::PcaMethod;
 pub use crate::cubature::Selection;
 pub use crate::reduced::RayleighDamping;
 pub use artifacts::{Artifacts, BasisDelta, CubatureReport, CubatureSource};
+pub use certificate::{Certificate, Verdict};
 pub use params::{BuildError, BuildParams, CubatureParams, Method, RebuildParams};
 pub use seams::prepare_seams;
 
@@ -42,12 +44,30 @@ use std::time::Duration;
 struct StageClock<'a> {
     control: &'a dyn Control,
     last: Duration,
+    /// When nothing more is refined.
+    deadline: Option<Duration>,
+    /// Something was left undone for the deadline's sake.
+    is_unfinished: bool,
     timings: Vec<(Stage, Duration)>,
 }
 
 impl<'a> StageClock<'a> {
     fn start(control: &'a dyn Control) -> StageClock<'a> {
-        StageClock { control, last: control.now(), timings: Vec::new() }
+        StageClock {
+            control,
+            last: control.now(),
+            deadline: None,
+            is_unfinished: false,
+            timings: Vec::new(),
+        }
+    }
+
+    /// Whether there is no time for something that would only improve the answer and takes about
+    /// `estimate`. If so, the answer remains unfinished.
+    fn skips(&mut self, estimate: Duration) -> bool {
+        let skips = self.deadline.is_some_and(|deadline| self.control.now() + estimate > deadline);
+        self.is_unfinished |= skips;
+        skips
     }
 
     /// The time since the last call belongs to `stage`.
@@ -97,6 +117,8 @@ pub fn build(
             derivatives: vec![derivatives],
         },
         spectrum,
+        verdict: Verdict::Rebuilt,
+        tolerance: None,
         reuse: None,
         warnings,
         prepared,
@@ -153,7 +175,9 @@ fn prepare(
     let body =
         Body { model: &model, mass: &mass, stitched: &stitched, sigma, rigid: rigid.as_ref() };
     let count = params.n_derivative_modes.min(kept.eigenvalues.len());
+    let begin = clock.control.now();
     let (set, loads) = new_derivatives(&body, &kept, Some(&modes), count, clock.control)?;
+    let column_time = clock.control.now().saturating_sub(begin) / set.pairs.len().max(1) as u32;
     drop(stitched);
     let base = BaseModes {
         model: &model,
@@ -166,8 +190,7 @@ fn prepare(
         LoadCases::none(n_x).with(&base, kept.lowest(count), loads.as_ref(), set.shapes.clone());
     clock.finish(Stage::Derivatives)?;
 
-    let error_estimates = residuals.iter().map(|residual| residual * residual).collect();
-    let spectrum = AuditedSpectrum { eigenvalues: modes.eigenvalues, residuals, error_estimates };
+    let spectrum = AuditedSpectrum::converged(modes.eigenvalues, residuals);
     let x = [Block::new(rigid), Block::new(modes.shapes)];
     let prepared = Arc::new(Prepared::new(
         params.clone(),
@@ -179,6 +202,7 @@ fn prepare(
         sigma,
         x,
         spectrum,
+        column_time,
         Seams::new(cases),
     ));
     Ok((Base { prepared, columns: none }, set))
@@ -208,6 +232,7 @@ pub fn rebuild(
     let (state, ids) =
         previous.state.apply(edits, model.mesh(), |v| model.free_index(v).is_none())?;
     let mut clock = StageClock::start(control);
+    clock.deadline = params.deadline.map(|time| clock.last + time);
     let base = base_for(previous, &state, &mut clock)?;
     let reuse = previous.cubature.map(|_| (previous.rule.clone(), previous.trained_error));
     let draft = match params.method {
@@ -268,8 +293,7 @@ fn from_scratch(
     let (set, _) = new_derivatives(&body, &kept, Some(&modes), count, clock.control)?;
     clock.finish(Stage::Derivatives)?;
     let LinearModes { shapes, eigenvalues } = kept;
-    let error_estimates = residuals.iter().map(|residual| residual * residual).collect();
-    let spectrum = AuditedSpectrum { eigenvalues, residuals, error_estimates };
+    let spectrum = AuditedSpectrum::converged(eigenvalues, residuals);
     Ok(Draft {
         columns: base.columns,
         state,
@@ -278,6 +302,8 @@ fn from_scratch(
         spectrum: spectrum.lowest(params.n_modes),
         derivative_residual: set.residual,
         span: Span::Dense { modes: shapes, derivatives: vec![set] },
+        verdict: Verdict::Rebuilt,
+        tolerance: None,
         reuse: None,
         warnings: Vec::new(),
         prepared: base.prepared,

@@ -13,6 +13,7 @@ use crate::mesh::TetMesh;
 use crate::modes::ModesError;
 use crate::reduced::RayleighDamping;
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 /// Cubature training (\[M16\] §4.3).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,6 +75,16 @@ pub struct RebuildParams {
     pub method: Method,
     /// Relative eigenvalue error accepted for the lower half of the modes (`Flexibility` only).
     pub tolerance: f64,
+    /// Time, by the caller's clock, after which nothing more is refined: the best so far is the answer
+    /// (`Flexibility` only). What cannot be done without, whatever the time, is a first answer.
+    pub deadline: Option<Duration>,
+}
+
+impl RebuildParams {
+    /// Refines until `tolerance` is met.
+    pub fn new(method: Method, tolerance: f64) -> RebuildParams {
+        RebuildParams { method, tolerance, deadline: None }
+    }
 }
 
 /// Why a body could not be built or rebuilt.

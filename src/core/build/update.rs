@@ -2,6 +2,7 @@
 //! by the paper's low-rank update.
 
 use super::artifacts::Prepared;
+use super::certificate::Verdict;
 use super::derive::{Body, new_derivatives, reused_derivatives};
 use super::finish::Draft;
 use super::params::BuildError;
@@ -40,6 +41,8 @@ pub(super) fn by_flexibility(
             prepared: base.prepared,
             columns: base.columns,
             state,
+            verdict: Verdict::Patched,
+            tolerance: Some(tolerance),
             n_rigid_modes,
             weighing: spectrum.eigenvalues.clone(),
             spectrum,
@@ -100,8 +103,15 @@ fn in_seams(
         prepared_stitches.modes(left.ncols(), n_modes)?
     };
     let enough = spectrum.eigenvalues.len() == n_modes.min(prepared.spectrum.eigenvalues.len());
-    if !enough || !spectrum.beyond(tolerance).is_empty() {
+    if !enough {
         return Ok(None);
+    }
+    if !spectrum.beyond(tolerance).is_empty() {
+        // Refining means two solves for each mode, and a column for each stitch before.
+        let columns = 3 * stitches.len() + 2 * n_modes;
+        if !clock.skips(prepared.column_time * columns as u32) {
+            return Ok(None);
+        }
     }
     clock.finish(Stage::Modes)?;
     let responses = prepared_stitches.load_responses(&modes, &spectrum.eigenvalues, left.as_ref());
@@ -151,10 +161,16 @@ fn refined(
             let weighing = rayleigh_quotients(&stitched, &modes);
             let residuals = audit(&stitched, mass, &modes, *sigma);
             let LinearModes { shapes, eigenvalues } = modes;
-            let error_estimates = residuals.clone();
-            (shapes, AuditedSpectrum { eigenvalues, residuals, error_estimates }, weighing)
+            let spectrum = AuditedSpectrum {
+                eigenvalues,
+                error_estimates: residuals.clone(),
+                angle_estimates: residuals.iter().map(|residual| residual.min(1.0)).collect(),
+                residuals,
+            };
+            (shapes, spectrum, weighing)
         }
         Some(tolerance) => {
+            let round_time = |columns: usize| prepared.column_time * (columns + n_modes) as u32;
             let problem = flexibility::Update {
                 stitched: &stitched,
                 mass,
@@ -167,8 +183,8 @@ fn refined(
                 tolerance,
             };
             let flexibility::Updated { shapes, spectrum, .. } =
-                flexibility::update(&problem, control)?;
-            let worst = spectrum.worst_of_lower_half();
+                flexibility::update(&problem, &mut |n| clock.skips(round_time(n)), control)?;
+            let [worst, _] = spectrum.worst_errors();
             if worst > tolerance {
                 warnings.push(format!(
                     "the lower half of the modes reached a relative eigenvalue error of \
@@ -198,6 +214,8 @@ fn refined(
     Ok(Draft {
         columns,
         state,
+        verdict: Verdict::Refined,
+        tolerance,
         n_rigid_modes,
         spectrum,
         weighing,

@@ -14,9 +14,7 @@ use crate::assembly::mass::Mass;
 use crate::control::{self, Control, Stage};
 use crate::linalg::{self, DenseError};
 use crate::modes::stitched::StitchedStiffness;
-use crate::modes::{
-    AuditedSpectrum, ModesError, error_estimates, relative_residuals, residual_vectors,
-};
+use crate::modes::{AuditedSpectrum, ModesError, relative_residuals, residual_vectors};
 use faer::{Mat, MatRef};
 
 /// Rounds of refinement before the result is returned as it is. On the bodies tried, one to three
@@ -256,8 +254,13 @@ fn bordered(old: &Mat<f64>, cross: &Mat<f64>, corner: &Mat<f64>) -> Mat<f64> {
     })
 }
 
-/// Computes the modes of the stitched body.
-pub fn update(problem: &Update<'_>, control: &dyn Control) -> Result<Updated, ModesError> {
+/// Computes the modes of the stitched body. `stops_before` a round that refines so many modes takes
+/// what there is for the answer.
+pub fn update(
+    problem: &Update<'_>,
+    stops_before: &mut dyn FnMut(usize) -> bool,
+    control: &dyn Control,
+) -> Result<Updated, ModesError> {
     let Update { stitched, mass, sigma, n_rigid_left, base, n_modes, tolerance, .. } = *problem;
     let a = stitched.stitch_matrix();
 
@@ -290,11 +293,10 @@ pub fn update(problem: &Update<'_>, control: &dyn Control) -> Result<Updated, Mo
         let residuals = relative_residuals(residual.as_ref(), solved.as_ref(), &eigenvalues, sigma);
         let beyond = theta.get(n_rigid_left + available).copied().unwrap_or(0.0);
         let kept = &theta[n_rigid_left..][..wanted];
-        let error_estimates = error_estimates(kept, beyond, &residuals, sigma);
-        let spectrum = AuditedSpectrum { eigenvalues, residuals, error_estimates };
+        let spectrum = AuditedSpectrum::of_ritz(kept, beyond, residuals, sigma);
         round += 1;
         let unaccepted = spectrum.beyond(tolerance);
-        if unaccepted.is_empty() || round == MOST_ROUNDS {
+        if unaccepted.is_empty() || round == MOST_ROUNDS || stops_before(unaccepted.len()) {
             // The Ritz vectors are orthonormal to about 1e-10 where large rigid parts cancelled.
             let gram =
                 linalg::SmallCholesky::new(mass.inner(shapes.as_ref(), shapes.as_ref()).as_ref())?;

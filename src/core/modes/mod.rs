@@ -78,6 +78,8 @@ pub struct AuditedSpectrum {
     pub residuals: Vec<f64>,
     /// Estimated relative errors of the eigenvalues.
     pub error_estimates: Vec<f64>,
+    /// Estimated sines of the angles between each mode and the exact modes' span, in the norm of K̂_σ.
+    pub angle_estimates: Vec<f64>,
 }
 
 /// Relative eigenvalue error accepted for the upper half of the modes, as a multiple of the
@@ -85,6 +87,37 @@ pub struct AuditedSpectrum {
 pub const UPPER_HALF_FACTOR: f64 = 100.0;
 
 impl AuditedSpectrum {
+    /// Converged eigenvalues: the error is the square of the residual, the angle the residual, as far
+    /// from others as converged ones are.
+    pub fn converged(eigenvalues: Vec<f64>, residuals: Vec<f64>) -> AuditedSpectrum {
+        let error_estimates = residuals.iter().map(|residual| residual * residual).collect();
+        AuditedSpectrum {
+            eigenvalues,
+            angle_estimates: residuals.clone(),
+            residuals,
+            error_estimates,
+        }
+    }
+
+    /// Ritz values λ = 1/θ − σ. The error is estimated by the square of the residual over the relative
+    /// gap to `beyond`, the first θ that is not among them, the angle by the residual over it
+    /// (Davis and Kahan's sin θ theorem).
+    fn of_ritz(theta: &[f64], beyond: f64, residuals: Vec<f64>, sigma: f64) -> AuditedSpectrum {
+        let gap = |theta: f64| ((theta - beyond) / theta).max(f64::EPSILON);
+        let estimate = |(theta, residual): (&f64, &f64)| {
+            let lambda = theta.recip() - sigma;
+            let shifted = residual.min(residual.powi(2) / gap(*theta));
+            shifted / theta / lambda.max(f64::MIN_POSITIVE)
+        };
+        let angle = |(theta, residual): (&f64, &f64)| (residual / gap(*theta)).min(1.0);
+        AuditedSpectrum {
+            eigenvalues: theta.iter().map(|theta| theta.recip() - sigma).collect(),
+            error_estimates: theta.iter().zip(&residuals).map(estimate).collect(),
+            angle_estimates: theta.iter().zip(&residuals).map(angle).collect(),
+            residuals,
+        }
+    }
+
     /// The lowest `count`.
     pub fn lowest(&self, count: usize) -> AuditedSpectrum {
         let count = count.min(self.eigenvalues.len());
@@ -92,6 +125,7 @@ impl AuditedSpectrum {
             eigenvalues: self.eigenvalues[..count].to_vec(),
             residuals: self.residuals[..count].to_vec(),
             error_estimates: self.error_estimates[..count].to_vec(),
+            angle_estimates: self.angle_estimates[..count].to_vec(),
         }
     }
 
@@ -105,23 +139,17 @@ impl AuditedSpectrum {
         (0..count).filter(|&i| !(self.error_estimates[i] <= allowed(i))).collect()
     }
 
-    /// Largest estimated error in the lower half.
-    pub fn worst_of_lower_half(&self) -> f64 {
-        let half = self.error_estimates.len().div_ceil(2);
-        self.error_estimates[..half].iter().copied().fold(0.0, f64::max)
+    /// Largest estimated errors in the lower and in the upper half.
+    pub fn worst_errors(&self) -> [f64; 2] {
+        let (lower, upper) = self.error_estimates.split_at(self.error_estimates.len().div_ceil(2));
+        [lower, upper].map(|errors| errors.iter().copied().fold(0.0, f64::max))
     }
-}
 
-/// Estimated relative errors of Ritz values λ = 1/θ − σ: the square of the residual over the relative
-/// gap to `beyond`, the first θ that is not among them.
-fn error_estimates(theta: &[f64], beyond: f64, residuals: &[f64], sigma: f64) -> Vec<f64> {
-    let estimate = |(theta, residual): (&f64, &f64)| {
-        let gap = ((theta - beyond) / theta).max(f64::EPSILON);
-        let lambda = theta.recip() - sigma;
-        let shifted = residual.min(residual.powi(2) / gap);
-        shifted / theta / lambda.max(f64::MIN_POSITIVE)
-    };
-    theta.iter().zip(residuals).map(estimate).collect()
+    /// Largest estimated angle in the lower half (sine).
+    pub fn worst_angle(&self) -> f64 {
+        let half = self.angle_estimates.len().div_ceil(2);
+        self.angle_estimates[..half].iter().copied().fold(0.0, f64::max)
+    }
 }
 
 /// R = K̂Φ − MΦΛ from K̂Φ.

@@ -19,7 +19,7 @@ use crate::edit::Stitch;
 use crate::linalg::{self, DenseError, SmallCholesky};
 use crate::modes::load_cases::LoadCases;
 use crate::modes::seams::Seams;
-use crate::modes::{AuditedSpectrum, error_estimates, rigid};
+use crate::modes::{AuditedSpectrum, rigid};
 use faer::{Mat, MatRef};
 
 /// Directions whose squared K̂_σ-length is below this fraction after scaling are dependent.
@@ -353,7 +353,6 @@ impl PreparedStitches {
         let kept = &theta[n_rigid_left..][..count];
         // Ritz values beyond as many as X has elastic modes are not accurate enough to count.
         let beyond = theta.get(n_rigid_left + k - self.n_rigid).copied().unwrap_or(0.0);
-        let eigenvalues: Vec<f64> = kept.iter().map(|theta| theta.recip() - self.sigma).collect();
         let shapes = y1.times(chosen.subrows(0, k)).plus(&y2.times(chosen.subrows(k, k)));
         // Y₁ and Y₂ lean on each other: their combinations keep 1e-7 of the orthonormality.
         let turn = SmallCholesky::new(self.mass_of(&shapes, &shapes).as_ref())?.whitening();
@@ -363,7 +362,6 @@ impl PreparedStitches {
         // themselves: from the moments it can come out far too small.
         let residuals: Vec<f64> =
             (0..count).map(|i| (twice[(i, i)] / kept[i] - 1.0).max(RESOLUTION).sqrt()).collect();
-        let error_estimates = error_estimates(kept, beyond, &residuals, self.sigma);
-        Ok((shapes, AuditedSpectrum { eigenvalues, residuals, error_estimates }))
+        Ok((shapes, AuditedSpectrum::of_ritz(kept, beyond, residuals, self.sigma)))
     }
 }

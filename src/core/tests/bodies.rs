@@ -40,7 +40,7 @@ pub(crate) fn params(bar: &BarMesh, n_modes: usize) -> BuildParams {
 
 /// A rebuild to a relative eigenvalue error of 1e-4.
 pub(crate) fn by(method: Method) -> RebuildParams {
-    RebuildParams { method, tolerance: 1e-4 }
+    RebuildParams::new(method, 1e-4)
 }
 
 /// Stitches on `pairs`.

@@ -150,7 +150,7 @@ fn edits_are_checked_and_a_refused_one_changes_nothing() {
     assert_eq!(body.stitches().len(), 2);
 
     for tolerance in [0.0, 1.0, -1.0, f64::NAN] {
-        let params = RebuildParams { method: Method::Flexibility, tolerance };
+        let params = RebuildParams::new(Method::Flexibility, tolerance);
         let error = build::rebuild(&body, &[], &params, &Uncontrolled).unwrap_err();
         assert!(matches!(error, BuildError::BadParameter { name: "tolerance", .. }));
     }

@@ -2,7 +2,8 @@
 
 use crate::bodies::{STITCH_N_M, bar, by, params, spectrum_error, stitch};
 use faer::Mat;
-use sutura_core::build::{self, Artifacts, BuildParams, Method, RebuildParams};
+use std::time::{Duration, Instant};
+use sutura_core::build::{self, Artifacts, BuildParams, Method, RebuildParams, Verdict};
 use sutura_core::control::{Control, Stage, Uncontrolled};
 use sutura_core::edit::Edit;
 use sutura_core::linalg;
@@ -182,7 +183,7 @@ fn a_tolerance_that_a_seam_cannot_meet_is_met_by_solving() {
     let open = prepared(&bar, &params(&bar, 20));
     let edit = stitch(&bar.pairs, STITCH_N_M);
     let exact = next(&open, &edit, Method::FromScratch);
-    let tight = RebuildParams { method: Method::Flexibility, tolerance: 1e-11 };
+    let tight = RebuildParams::new(Method::Flexibility, 1e-11);
     let (updated, _) = build::rebuild(&open, &edit, &tight, &Uncontrolled).unwrap();
     assert!(!took_no_solve(&updated));
     assert!(errors(&updated, &exact)[0] < 1e-9);
@@ -218,12 +219,50 @@ fn preparing_can_be_cancelled_and_refuses_what_a_stitch_would() {
             true
         }
         fn progress(&self, _: Stage, _: f64) {}
-        fn now(&self) -> std::time::Duration {
-            std::time::Duration::ZERO
+        fn now(&self) -> Duration {
+            Duration::ZERO
         }
     }
     assert!(matches!(
         build::prepare_seams(&open, &bar.pairs, &Stopped),
         Err(build::BuildError::Cancelled(_))
     ));
+}
+
+#[test]
+fn the_certificate_tells_where_the_modes_come_from_and_what_a_deadline_left_undone() {
+    let bar = bar(Cut::HalfDepth);
+    let open = prepared(&bar, &params(&bar, 20));
+    let edit = stitch(&bar.pairs, STITCH_N_M);
+    let verdict = |body: &Artifacts| body.certificate().verdict;
+    assert_eq!(verdict(&open), Verdict::Rebuilt);
+    assert_eq!(verdict(&next(&open, &edit, Method::FromScratch)), Verdict::Rebuilt);
+    let patched = next(&open, &edit, Method::Flexibility);
+    assert_eq!(verdict(&patched), Verdict::Patched);
+    assert!(patched.certificate().is_met && !patched.certificate().is_unfinished);
+
+    // No seam meets this; there is no time for more; then there is.
+    let mut hurried = RebuildParams::new(Method::Flexibility, 1e-11);
+    hurried.deadline = Some(Duration::ZERO);
+    let clock = Clock(Instant::now());
+    let (first, _) = build::rebuild(&open, &edit, &hurried, &clock).unwrap();
+    assert_eq!(verdict(&first), Verdict::Patched);
+    assert!(!first.certificate().is_met && first.certificate().is_unfinished);
+    let leisurely = RebuildParams { deadline: Some(Duration::from_secs(3600)), ..hurried };
+    let (second, _) = build::rebuild(&first, &[], &leisurely, &clock).unwrap();
+    assert_eq!(verdict(&second), Verdict::Refined);
+    assert!(second.certificate().is_met && !second.certificate().is_unfinished);
+    assert_eq!(second.stitches(), first.stitches());
+}
+
+struct Clock(Instant);
+
+impl Control for Clock {
+    fn is_cancelled(&self) -> bool {
+        false
+    }
+    fn progress(&self, _: Stage, _: f64) {}
+    fn now(&self) -> Duration {
+        self.0.elapsed()
+    }
 }

@@ -23,7 +23,7 @@ fn next(previous: &Artifacts, edits: &[Edit], params: &RebuildParams) -> Artifac
 }
 
 fn tight() -> RebuildParams {
-    RebuildParams { method: Method::Flexibility, tolerance: 1e-11 }
+    RebuildParams::new(Method::Flexibility, 1e-11)
 }
 
 fn shapes(body: &Artifacts, count: usize) -> Mat<f64> {
@@ -289,7 +289,7 @@ fn infinitely_stiff_stitches_merge_the_vertices() {
         let bar = bar(cut);
         let before = start(&bar, 8);
         for method in [Method::FromScratch, Method::Flexibility] {
-            let params = RebuildParams { method, tolerance: 1e-10 };
+            let params = RebuildParams::new(method, 1e-10);
             // The gap closes like 1/k, until rounding in k takes over.
             let errors = [1e6, 1e7, 1e8].map(|k| {
                 let stiff = next(&before, &stitch(&bar.pairs, k), &params);
