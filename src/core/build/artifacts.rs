@@ -15,7 +15,7 @@ use crate::mesh::TetMesh;
 use crate::modes::AuditedSpectrum;
 use crate::modes::low_rank::MassInverse;
 use crate::modes::seams::Seams;
-use crate::modes::stitched::{FlexibilityColumns, StitchMatrix};
+use crate::modes::stitched::StitchMatrix;
 use crate::reduced::{self, Evaluation, EvaluatorTables, ReducedModel};
 use faer::{Mat, MatRef};
 use std::collections::{BTreeMap, BTreeSet};
@@ -146,7 +146,6 @@ impl Prepared {
 /// One generation of a prepared body. Immutable; shared by `Arc`.
 pub struct Artifacts {
     pub(super) prepared: Arc<Prepared>,
-    pub(super) columns: FlexibilityColumns,
     pub(super) state: EditState,
     pub(super) n_rigid_modes: usize,
     pub(super) spectrum: AuditedSpectrum,
@@ -304,7 +303,6 @@ impl Artifacts {
             + base.factor.bytes()
             + base.x.iter().map(|x| linalg::bytes(&x.columns)).sum::<usize>()
             + base.seams().bytes()
-            + self.columns.values().map(|c| linalg::bytes(c)).sum::<usize>()
             + self.modes.bytes()
             + self.basis.bytes()
             + self.model.bytes()

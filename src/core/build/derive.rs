@@ -111,9 +111,8 @@ pub(super) fn reused_derivatives(
     }
     // K_σ⁻¹B = X·x + …, and what the stitches take back of it with EᵀF as their gap.
     let gap = a.transpose_times(start.as_ref()) + of_f;
-    let w = body.stitched.capacitance_solve(gap.as_ref());
     shapes += start;
-    linalg::add_product(shapes.as_mut(), -1.0, body.stitched.g(), w.as_ref());
+    shapes -= body.stitched.flexed(gap.as_ref());
     if let (Some(modes), Some(c)) = (shifted, correction) {
         linalg::add_product(shapes.as_mut(), 1.0, modes.shapes.as_ref(), c.as_ref());
     }

@@ -12,7 +12,6 @@ use crate::dictionary::Combination;
 use crate::edit::EditState;
 use crate::linalg;
 use crate::modes::AuditedSpectrum;
-use crate::modes::stitched::FlexibilityColumns;
 use crate::reduced::ReducedModel;
 use std::sync::Arc;
 
@@ -44,7 +43,6 @@ const DERIVATIVE_RESIDUAL_LIMIT: f64 = 1e-4;
 /// A generation up to its derivatives.
 pub(super) struct Draft {
     pub(super) prepared: Arc<Prepared>,
-    pub(super) columns: FlexibilityColumns,
     pub(super) state: EditState,
     pub(super) n_rigid_modes: usize,
     pub(super) spectrum: AuditedSpectrum,
@@ -111,7 +109,6 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
     );
     clock.finish(Stage::Reduction)?;
     Ok(Artifacts {
-        columns: draft.columns,
         n_rigid_modes: draft.n_rigid_modes,
         verdict: draft.verdict,
         tolerance: draft.tolerance,

@@ -29,7 +29,7 @@ use crate::factorization::SymbolicCholesky;
 use crate::mesh::TetMesh;
 use crate::modes::load_cases::LoadCases;
 use crate::modes::seams::{BaseModes, Seams};
-use crate::modes::stitched::{FlexibilityColumns, StitchMatrix, StitchedStiffness};
+use crate::modes::stitched::{StitchMatrix, StitchedStiffness};
 use crate::modes::{AuditedSpectrum, LinearModes, rigid};
 use artifacts::Prepared;
 use derive::{Body, new_derivatives};
@@ -96,8 +96,7 @@ pub fn build(
             "{count} vertices belong to no tet and never move (the first is {first})"
         ));
     }
-    let (base, derivatives) = prepare(mesh, params, &BTreeMap::new(), &mut clock)?;
-    let Base { prepared, columns } = base;
+    let (prepared, derivatives) = prepare(mesh, params, &BTreeMap::new(), &mut clock)?;
     let spectrum = prepared.spectrum.lowest(params.n_modes);
     let found = spectrum.eigenvalues.len();
     if found < params.n_modes {
@@ -107,7 +106,6 @@ pub fn build(
         ));
     }
     let draft = Draft {
-        columns,
         state: EditState::default(),
         n_rigid_modes: prepared.rigid().ncols(),
         weighing: spectrum.eigenvalues.clone(),
@@ -126,13 +124,6 @@ pub fn build(
     finish(draft, clock)
 }
 
-/// What an edit starts from.
-struct Base {
-    prepared: Arc<Prepared>,
-    /// Of stitches made so far that no seam has.
-    columns: FlexibilityColumns,
-}
-
 /// The base body with domains `stiffness_factors` times as stiff as `params` has them, and its
 /// derivatives.
 fn prepare(
@@ -140,7 +131,7 @@ fn prepare(
     params: &BuildParams,
     stiffness_factors: &BTreeMap<i64, f64>,
     clock: &mut StageClock<'_>,
-) -> Result<(Base, DerivativeSet), BuildError> {
+) -> Result<(Arc<Prepared>, DerivativeSet), BuildError> {
     let materials = params::scaled_materials(&mesh, params, stiffness_factors)?;
     let model = FullModel::new(mesh, &materials, &params.fixed_vertices);
     if model.n() == 0 {
@@ -170,8 +161,7 @@ fn prepare(
         clock,
     )?;
     let kept = modes.lowest(params.n_modes);
-    let none = FlexibilityColumns::new();
-    let stitched = StitchedStiffness::new(&model, &stiffness, &factor, &[], &none)?;
+    let stitched = StitchedStiffness::new(&model, &stiffness, &factor, &[])?;
     let body =
         Body { model: &model, mass: &mass, stitched: &stitched, sigma, rigid: rigid.as_ref() };
     let count = params.n_derivative_modes.min(kept.eigenvalues.len());
@@ -205,7 +195,7 @@ fn prepare(
         column_time,
         Seams::new(cases),
     ));
-    Ok((Base { prepared, columns: none }, set))
+    Ok((prepared, set))
 }
 
 /// Orders and analyses the stiffness's pattern: work for one thread, beside the assembly.
@@ -251,10 +241,10 @@ fn base_for(
     previous: &Artifacts,
     state: &EditState,
     clock: &mut StageClock<'_>,
-) -> Result<Base, BuildError> {
+) -> Result<Arc<Prepared>, BuildError> {
     let prepared = &previous.prepared;
     if prepared.stiffness_factors == *state.stiffness_factors() {
-        return Ok(Base { prepared: prepared.clone(), columns: previous.columns.clone() });
+        return Ok(prepared.clone());
     }
     let mesh = prepared.model.mesh().clone();
     Ok(prepare(mesh, &prepared.params, state.stiffness_factors(), clock)?.0)
@@ -262,11 +252,10 @@ fn base_for(
 
 /// Everything up to the derivatives, from a factorization of the stitched stiffness itself.
 fn from_scratch(
-    base: Base,
+    prepared: Arc<Prepared>,
     state: EditState,
     clock: &mut StageClock<'_>,
 ) -> Result<Draft, BuildError> {
-    let prepared = base.prepared.clone();
     let Prepared { params, model, mass, .. } = &*prepared;
     let a = StitchMatrix::new(model, state.stitches());
     let pairs: Vec<[u32; 2]> = state.stitches().iter().map(|s| s.pair).collect();
@@ -286,8 +275,7 @@ fn from_scratch(
     let Spectrum { factor, sigma, modes, residuals } =
         lowest_spectrum(model, mass, &stiffness, rigid.as_ref(), symbolic, params.n_modes, clock)?;
     let kept = modes.lowest(params.n_modes);
-    let none = FlexibilityColumns::new();
-    let stitched = StitchedStiffness::new(model, &stiffness, &factor, &[], &none)?;
+    let stitched = StitchedStiffness::new(model, &stiffness, &factor, &[])?;
     let body = Body { model, mass, stitched: &stitched, sigma, rigid: rigid.as_ref() };
     let count = params.n_derivative_modes.min(kept.eigenvalues.len());
     let (set, _) = new_derivatives(&body, &kept, Some(&modes), count, clock.control)?;
@@ -295,7 +283,6 @@ fn from_scratch(
     let LinearModes { shapes, eigenvalues } = kept;
     let spectrum = AuditedSpectrum::converged(eigenvalues, residuals);
     Ok(Draft {
-        columns: base.columns,
         state,
         n_rigid_modes: rigid.ncols(),
         weighing: spectrum.eigenvalues.clone(),
@@ -306,6 +293,6 @@ fn from_scratch(
         tolerance: None,
         reuse: None,
         warnings: Vec::new(),
-        prepared: base.prepared,
+        prepared: prepared.clone(),
     })
 }

@@ -10,7 +10,7 @@ use crate::edit::Stitch;
 use crate::modes::LinearModes;
 use crate::modes::prepared::PreparedStitches;
 use crate::modes::seams::{BaseModes, Seams};
-use crate::modes::stitched::{FlexibilityColumns, StitchedStiffness};
+use crate::modes::stitched::StitchedStiffness;
 use std::sync::Arc;
 
 /// Stiffness of the springs that close a seam for its load cases, in terms of the seam's own: close to
@@ -86,8 +86,7 @@ fn closed(prepared: &Prepared, seams: &Seams, control: &dyn Control) -> Result<S
     let modes = LinearModes { shapes, eigenvalues: spectrum.eigenvalues };
 
     // Their loads, solved for on the base body.
-    let none = FlexibilityColumns::new();
-    let stitched = StitchedStiffness::new(model, &prepared.stiffness, factor, &[], &none)?;
+    let stitched = StitchedStiffness::new(model, &prepared.stiffness, factor, &[])?;
     let base = LinearModes { shapes: prepared.modes().to_owned(), eigenvalues: lambda.clone() };
     let rigid = prepared.rigid();
     let body = Body { model, mass, stitched: &stitched, sigma: *sigma, rigid };

@@ -7,7 +7,7 @@ use super::derive::{Body, new_derivatives, reused_derivatives};
 use super::finish::Draft;
 use super::params::BuildError;
 use super::span::{PreparedSpan, Span};
-use super::{Base, StageClock, seams};
+use super::{StageClock, seams};
 use crate::assembly::mass::Mass;
 use crate::control::{self, Stage};
 use crate::cubature::Rule;
@@ -16,9 +16,7 @@ use crate::edit::{EditState, sorted};
 use crate::linalg::{self, DenseError};
 use crate::modes::low_rank::{self, MassInverse};
 use crate::modes::prepared::PreparedStitches;
-use crate::modes::stitched::{
-    FlexibilityColumns, StitchMatrix, StitchedStiffness, flexibility_columns,
-};
+use crate::modes::stitched::{StitchMatrix, StitchedStiffness};
 use crate::modes::{self, AuditedSpectrum, LinearModes, flexibility, rigid};
 use faer::{Mat, MatRef};
 use std::sync::Arc;
@@ -30,16 +28,15 @@ const PREPARED_ON_THE_WAY: usize = 4;
 /// Everything up to the derivatives, to the relative eigenvalue error `tolerance`. `reuse` is the
 /// cubature rule in use.
 pub(super) fn by_flexibility(
-    base: Base,
+    prepared: Arc<Prepared>,
     state: EditState,
     reuse: Option<(Rule, f64)>,
     tolerance: f64,
     clock: &mut StageClock<'_>,
 ) -> Result<Draft, BuildError> {
-    match in_seams(&base.prepared, &state, tolerance, clock)? {
+    match in_seams(&prepared, &state, tolerance, clock)? {
         Some((spectrum, n_rigid_modes, span)) => Ok(Draft {
-            prepared: base.prepared,
-            columns: base.columns,
+            prepared,
             state,
             verdict: Verdict::Patched,
             tolerance: Some(tolerance),
@@ -52,18 +49,18 @@ pub(super) fn by_flexibility(
             reuse,
             warnings: Vec::new(),
         }),
-        None => refined(base, state, reuse, Some(tolerance), clock),
+        None => refined(prepared, state, reuse, Some(tolerance), clock),
     }
 }
 
 /// The paper's update (\[M16\] §4.1).
 pub(super) fn by_low_rank(
-    base: Base,
+    prepared: Arc<Prepared>,
     state: EditState,
     reuse: Option<(Rule, f64)>,
     clock: &mut StageClock<'_>,
 ) -> Result<Draft, BuildError> {
-    refined(base, state, reuse, None, clock)
+    refined(prepared, state, reuse, None, clock)
 }
 
 /// Modes and derivatives from what seams hold, if those hold every stitch and meet the tolerance.
@@ -123,28 +120,18 @@ fn in_seams(
 /// With columns of the size of the mesh: by flexibility to `tolerance`, or by the low-rank update if
 /// there is none.
 fn refined(
-    base: Base,
+    prepared: Arc<Prepared>,
     state: EditState,
     reuse: Option<(Rule, f64)>,
     tolerance: Option<f64>,
     clock: &mut StageClock<'_>,
 ) -> Result<Draft, BuildError> {
-    let prepared = base.prepared.clone();
-    let Prepared { model, mass, factor, sigma, .. } = &*prepared;
+    let base = prepared.clone();
+    let Prepared { model, mass, factor, sigma, .. } = &*base;
     let control = clock.control;
     let mut warnings = Vec::new();
     let seams = prepared.seams();
-    let base_modes = seams::base_modes(&prepared);
-    let theta = prepared.theta();
-    let outside = state.stitches().iter().map(|s| sorted(s.pair));
-    let outside = outside.filter(|pair| seams.position(*pair).is_none());
-    let columns = flexibility_columns(model, factor, &base.columns, outside);
-    let inside = seams.flexibility_columns(&base_modes, &theta, state.stitches());
-    let all: FlexibilityColumns =
-        columns.iter().chain(&inside).map(|(pair, c)| (*pair, c.clone())).collect();
-    let stitched =
-        StitchedStiffness::new(model, &prepared.stiffness, factor, state.stitches(), &all)?;
-    drop(all);
+    let stitched = StitchedStiffness::new(model, &prepared.stiffness, factor, state.stitches())?;
     control::check(control)?;
     let left = rigid_left(stitched.stitch_matrix(), prepared.rigid())?;
     let n_modes = prepared.params.n_modes;
@@ -212,7 +199,6 @@ fn refined(
     let n_rigid_modes = left.ncols();
     drop(stitched);
     Ok(Draft {
-        columns,
         state,
         verdict: Verdict::Refined,
         tolerance,
@@ -223,7 +209,7 @@ fn refined(
         span: Span::Dense { modes: weighed.shapes, derivatives: vec![new, reused] },
         reuse,
         warnings,
-        prepared: base.prepared,
+        prepared,
     })
 }
 

@@ -13,6 +13,7 @@ pub use symbolic::SymbolicCholesky;
 use crate::assembly::mass::Mass;
 use crate::assembly::sparse::{BlockMatrix, ScalarMatrix};
 use faer::MatMut;
+use solve::Half;
 use std::sync::Arc;
 
 /// Why a matrix could not be factorized.
@@ -78,7 +79,19 @@ impl SparseCholesky {
     /// Overwrites B (n×k) by A⁻¹B.
     pub fn solve_in_place(&self, b: MatMut<'_, f64>) {
         assert_eq!(b.nrows(), self.n());
-        solve::solve_in_place(&self.symbolic, &self.values, b);
+        solve::solve_in_place(&self.symbolic, &self.values, Half::Both, b);
+    }
+
+    /// Overwrites B (n×k) by L⁻¹B, whose rows are in the order of the factor.
+    pub fn forward_in_place(&self, b: MatMut<'_, f64>) {
+        assert_eq!(b.nrows(), self.n());
+        solve::solve_in_place(&self.symbolic, &self.values, Half::Forward, b);
+    }
+
+    /// Overwrites B (n×k), whose rows are in the order of the factor, by L⁻ᵀB.
+    pub fn backward_in_place(&self, b: MatMut<'_, f64>) {
+        assert_eq!(b.nrows(), self.n());
+        solve::solve_in_place(&self.symbolic, &self.values, Half::Backward, b);
     }
 
     /// Bytes held by the factor.
@@ -173,6 +186,21 @@ mod tests {
                 assert!((a.multiply(x.as_ref()) - &b).norm_max() < 1e-13, "{k}");
             }
         }
+    }
+
+    #[test]
+    fn the_halves_make_the_whole() {
+        let a = grid(9);
+        let factor = SparseCholesky::of_blocks(&a).unwrap();
+        let b = Mat::from_fn(a.n(), 20, |i, j| ((i + 7 * j) as f64).cos());
+        let (mut whole, mut halves) = (b.clone(), b.clone());
+        factor.solve_in_place(whole.as_mut());
+        factor.forward_in_place(halves.as_mut());
+        // BᵀA⁻¹B is the Gram matrix of L⁻¹B, in whatever order its rows are.
+        let gram = halves.transpose() * &halves;
+        assert!((gram - b.transpose() * &whole).norm_max() < 1e-12 * a.n() as f64);
+        factor.backward_in_place(halves.as_mut());
+        assert!((halves - whole).norm_max() == 0.0);
     }
 
     #[test]

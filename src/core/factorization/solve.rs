@@ -13,18 +13,34 @@ use super::symbolic::{Piece, SymbolicCholesky};
 use faer::{MatMut, MatRef};
 use rayon::prelude::*;
 
-/// Overwrites B (n×k) by (LLᵀ)⁻¹B, sixteen columns at a time.
-pub(super) fn solve_in_place(symbolic: &SymbolicCholesky, values: &[f64], b: MatMut<'_, f64>) {
+/// Which of the two triangles to solve with. Between them rows lie in the permuted order.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Half {
+    /// L⁻¹.
+    Forward,
+    /// L⁻ᵀ.
+    Backward,
+    /// Both.
+    Both,
+}
+
+/// Overwrites B (n×k) by (LLᵀ)⁻¹B or half of that, at most 32 columns at a time.
+pub(super) fn solve_in_place(
+    symbolic: &SymbolicCholesky,
+    values: &[f64],
+    half: Half,
+    b: MatMut<'_, f64>,
+) {
     if b.nrows() == 0 {
         return;
     }
     let k = b.ncols();
     let wide = k - k % 32;
     let (wide, rest) = b.split_at_col_mut(if k - wide > 16 { k } else { wide });
-    solve_columns::<32>(symbolic, values, wide);
+    solve_columns::<32>(symbolic, values, half, wide);
     match rest.ncols() {
-        0..=8 => solve_columns::<8>(symbolic, values, rest),
-        _ => solve_columns::<16>(symbolic, values, rest),
+        0..=8 => solve_columns::<8>(symbolic, values, half, rest),
+        _ => solve_columns::<16>(symbolic, values, half, rest),
     }
 }
 
@@ -32,6 +48,7 @@ pub(super) fn solve_in_place(symbolic: &SymbolicCholesky, values: &[f64], b: Mat
 fn solve_columns<const N: usize>(
     symbolic: &SymbolicCholesky,
     values: &[f64],
+    half: Half,
     mut b: MatMut<'_, f64>,
 ) {
     if b.ncols() == 0 {
@@ -40,7 +57,7 @@ fn solve_columns<const N: usize>(
     let mut solver = Solver { symbolic, values, x: vec![[0.0; N]; symbolic.n()] };
     for first in (0..b.ncols()).step_by(N) {
         let count = N.min(b.ncols() - first);
-        solver.solve(b.as_mut().subcols_mut(first, count));
+        solver.solve(half, b.as_mut().subcols_mut(first, count));
     }
 }
 
@@ -57,17 +74,28 @@ const VERTICES_PER_TASK: usize = 64;
 
 impl<'a, const N: usize> Solver<'a, N> {
     /// `b` has at most `N` columns.
-    fn solve(&mut self, b: MatMut<'_, f64>) {
-        self.gather(b.as_ref());
-        self.forward();
+    fn solve(&mut self, half: Half, b: MatMut<'_, f64>) {
+        let symbolic = self.symbolic;
+        let unmoved: Vec<usize> = match half {
+            Half::Both => Vec::new(),
+            _ => (0..symbolic.order().len()).collect(),
+        };
+        self.gather(b.as_ref(), if half == Half::Backward { &unmoved } else { symbolic.order() });
+        if half != Half::Backward {
+            self.forward();
+        }
+        if half == Half::Forward {
+            let unmoved: Vec<u32> = (0..unmoved.len() as u32).collect();
+            return self.scatter(b, &unmoved);
+        }
         self.backward();
-        self.scatter(b);
+        self.scatter(b, symbolic.position());
     }
 
-    fn gather(&mut self, b: MatRef<'_, f64>) {
+    fn gather(&mut self, b: MatRef<'_, f64>, order: &[usize]) {
         let size = self.symbolic.size();
         let chunks = self.x.par_chunks_mut(VERTICES_PER_TASK * size);
-        chunks.zip(self.symbolic.order().par_chunks(VERTICES_PER_TASK)).for_each(|(x, order)| {
+        chunks.zip(order.par_chunks(VERTICES_PER_TASK)).for_each(|(x, order)| {
             if b.ncols() < N {
                 x.fill([0.0; N]);
             }
@@ -82,21 +110,19 @@ impl<'a, const N: usize> Solver<'a, N> {
         });
     }
 
-    fn scatter(&self, b: MatMut<'_, f64>) {
+    fn scatter(&self, b: MatMut<'_, f64>, position: &[u32]) {
         let size = self.symbolic.size();
         let chunks = b.par_row_chunks_mut(VERTICES_PER_TASK * size);
-        chunks.zip(self.symbolic.position().par_chunks(VERTICES_PER_TASK)).for_each(
-            |(mut b, position)| {
-                for j in 0..b.ncols() {
-                    let mut column = b.as_mut().col_mut(j);
-                    for (v, &at) in position.iter().enumerate() {
-                        for axis in 0..size {
-                            column[size * v + axis] = self.x[size * at as usize + axis][j];
-                        }
+        chunks.zip(position.par_chunks(VERTICES_PER_TASK)).for_each(|(mut b, position)| {
+            for j in 0..b.ncols() {
+                let mut column = b.as_mut().col_mut(j);
+                for (v, &at) in position.iter().enumerate() {
+                    for axis in 0..size {
+                        column[size * v + axis] = self.x[size * at as usize + axis][j];
                     }
                 }
-            },
-        );
+            }
+        });
     }
 
     /// The pieces with their rows of `x`.

@@ -264,16 +264,10 @@ pub fn update(
     let Update { stitched, mass, sigma, n_rigid_left, base, n_modes, tolerance, .. } = *problem;
     let a = stitched.stitch_matrix();
 
-    // S = [rigid, U] and T = G (I + C)⁻¹ AᵀS; all of G where that is no wider.
+    // S = [rigid, U] and T = K_σ⁻¹A (I + C)⁻¹ AᵀS.
     let mut space = TrialSpace::new(problem);
     if a.n_columns() > 0 {
-        let t = if a.n_columns() <= space.dimension() {
-            stitched.g().to_owned()
-        } else {
-            let z = stitched.capacitance_solve(space.stretch.as_ref());
-            linalg::product(stitched.g(), z.as_ref())
-        };
-        space.extend(t)?;
+        space.extend(stitched.flexed(space.stretch.as_ref()))?;
     }
     let kept = problem.eigenvalues.len();
     let mut round = 0;

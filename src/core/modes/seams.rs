@@ -19,7 +19,7 @@ use crate::edit::{Stitch, sorted};
 use crate::factorization::SparseCholesky;
 use crate::linalg;
 use crate::modes::load_cases::LoadCases;
-use crate::modes::stitched::{FlexibilityColumns, StitchMatrix};
+use crate::modes::stitched::StitchMatrix;
 use faer::{Mat, MatRef};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -163,30 +163,6 @@ impl Seams {
     /// Where `pair` is, if it is prepared.
     pub fn position(&self, pair: [u32; 2]) -> Option<usize> {
         self.positions.get(&sorted(pair)).copied()
-    }
-
-    /// K_σ⁻¹E = S₁ + XΘXᵀE of those of `stitches` that are prepared; `theta` is the diagonal of Θ.
-    pub fn flexibility_columns(
-        &self,
-        base: &BaseModes<'_>,
-        theta: &[f64],
-        stitches: &[Stitch],
-    ) -> FlexibilityColumns {
-        let mut all = FlexibilityColumns::new();
-        for stitch in stitches {
-            let Some(position) = self.position(stitch.pair) else { continue };
-            let (block, s1, _) = self.columns_of(position);
-            let mut columns = self.blocks[block].1.columns.subcols(s1, 3).to_owned();
-            let gaps = self.gaps(&[position]);
-            let c = Mat::from_fn(theta.len(), 3, |i, j| theta[i] * gaps[(j, i)]);
-            let mut at = 0;
-            for x in base.x {
-                linalg::add_product(columns.as_mut(), 1.0, x, c.subrows(at, x.ncols()));
-                at += x.ncols();
-            }
-            all.insert(sorted(stitch.pair), Arc::new(columns));
-        }
-        all
     }
 
     /// Where the pairs of `stitches` are, if all of them are prepared.

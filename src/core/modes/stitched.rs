@@ -1,8 +1,8 @@
 //! The stitched stiffness K̂ = K + AAᵀ: its product, and its inverse by Woodbury's formula from the
 //! factorization of the unstitched one.
 //!
-//! For a stitch (a, b, k), A has the three columns √k·(e_a − e_b) (\[M16\] eq. 5). With G = K_σ⁻¹A and
-//! C = AᵀG,  K̂_σ⁻¹ = K_σ⁻¹ − G (I + C)⁻¹ Gᵀ.
+//! For a stitch (a, b, k), A has the three columns √k·(e_a − e_b) (\[M16\] eq. 5). With K_σ = LLᵀ and
+//! Y = L⁻¹A,  K̂_σ⁻¹ = L⁻ᵀ (1 − Y (I + C)⁻¹ Yᵀ) L⁻¹  and  C = AᵀK_σ⁻¹A = YᵀY.
 
 use crate::assembly::FullModel;
 use crate::assembly::sparse::BlockMatrix;
@@ -10,12 +10,7 @@ use crate::edit::{Stitch, sorted};
 use crate::factorization::SparseCholesky;
 use crate::linalg::{self, DenseError, SmallCholesky};
 use faer::{Mat, MatRef};
-use std::collections::BTreeMap;
-use std::sync::Arc;
-
-/// K_σ⁻¹(e_a − e_b) for pairs of vertices (named in ascending order): n × 3 each. They depend on
-/// neither the stitches in force nor their stiffness, so every generation shares them.
-pub type FlexibilityColumns = BTreeMap<[u32; 2], Arc<Mat<f64>>>;
+use rayon::prelude::*;
 
 /// The matrix A of a set of stitches, as free indices: `None` for an end that is fixed.
 #[derive(Clone, Debug)]
@@ -100,33 +95,63 @@ impl StitchMatrix {
     }
 }
 
-/// Pairs whose columns are solved together: enough for the solver's best rate.
-const PAIRS_AT_A_TIME: usize = 16;
+/// Rows that are looked at together for whether a stitch reaches them.
+const ROWS_AT_A_TIME: usize = 64;
 
-/// Computes the flexibility columns of the pairs that `have` lacks, in blocked solves.
-pub fn flexibility_columns(
-    model: &FullModel,
-    factor: &SparseCholesky,
-    have: &FlexibilityColumns,
-    pairs: impl Iterator<Item = [u32; 2]>,
-) -> FlexibilityColumns {
-    let mut all = have.clone();
-    let missing: Vec<[u32; 2]> = pairs
-        .map(sorted)
-        .filter(|pair| !have.contains_key(pair))
-        .collect::<std::collections::BTreeSet<_>>()
-        .into_iter()
-        .collect();
-    for pairs in missing.chunks(PAIRS_AT_A_TIME) {
-        let unit: Vec<Stitch> =
-            pairs.iter().map(|&pair| Stitch { id: 0, pair, stiffness_n_m: 1.0 }).collect();
-        let mut columns = StitchMatrix::new(model, &unit).dense(model.n());
-        factor.solve_in_place(columns.as_mut());
-        for (i, &pair) in pairs.iter().enumerate() {
-            all.insert(pair, Arc::new(columns.subcols(3 * i, 3).to_owned()));
-        }
+/// L⁻¹A, of which only the rows on the stitches' paths to the root of the elimination tree are not
+/// zero: kept without the others.
+struct HalfSolved {
+    /// Blocks of [`ROWS_AT_A_TIME`] rows, in the order of the factor.
+    blocks: Vec<usize>,
+    /// n'×3s.
+    rows: Mat<f64>,
+}
+
+impl HalfSolved {
+    fn new(factor: &SparseCholesky, mut a: Mat<f64>) -> HalfSolved {
+        factor.forward_in_place(a.as_mut());
+        let is_reached = |block: &usize| {
+            let rows = block * ROWS_AT_A_TIME..((block + 1) * ROWS_AT_A_TIME).min(a.nrows());
+            (0..a.ncols()).any(|j| a.col_as_slice(j)[rows.clone()].iter().any(|x| *x != 0.0))
+        };
+        let blocks: Vec<usize> =
+            (0..a.nrows().div_ceil(ROWS_AT_A_TIME)).into_par_iter().filter(is_reached).collect();
+        let mut half = HalfSolved { blocks, rows: Mat::zeros(0, 0) };
+        half.rows = half.gathered(a.as_ref());
+        half
     }
-    all
+
+    /// The rows of X that are kept.
+    fn gathered(&self, x: MatRef<'_, f64>) -> Mat<f64> {
+        let rows =
+            |block: &usize| block * ROWS_AT_A_TIME..((block + 1) * ROWS_AT_A_TIME).min(x.nrows());
+        let count = self.blocks.iter().map(|block| rows(block).len()).sum();
+        let mut some = Mat::zeros(count, x.ncols());
+        linalg::for_each_column(&mut some, |j, some| {
+            let column = x.col(j);
+            let all = self.blocks.iter().flat_map(rows);
+            some.iter_mut().zip(all).for_each(|(some, row)| *some = column[row]);
+        });
+        some
+    }
+
+    /// `(L⁻¹A)ᵀX`.
+    fn transpose_times(&self, x: MatRef<'_, f64>) -> Mat<f64> {
+        linalg::gram(self.rows.as_ref(), self.gathered(x).as_ref())
+    }
+
+    /// `X += alpha·L⁻¹A·Z`.
+    fn add_times(&self, x: &mut Mat<f64>, alpha: f64, z: MatRef<'_, f64>) {
+        let n = x.nrows();
+        let mut product = Mat::zeros(self.rows.nrows(), z.ncols());
+        linalg::add_product(product.as_mut(), alpha, self.rows.as_ref(), z);
+        linalg::for_each_column(x, |j, x| {
+            let rows =
+                |block: &usize| block * ROWS_AT_A_TIME..((block + 1) * ROWS_AT_A_TIME).min(n);
+            let all = self.blocks.iter().flat_map(rows);
+            product.col_as_slice(j).iter().zip(all).for_each(|(p, row)| x[row] += p);
+        });
+    }
 }
 
 /// K̂ and K̂_σ⁻¹ of a stitched body.
@@ -134,39 +159,26 @@ pub struct StitchedStiffness<'a> {
     stiffness: &'a BlockMatrix,
     factor: &'a SparseCholesky,
     a: StitchMatrix,
-    /// G = K_σ⁻¹A.
-    g: Mat<f64>,
+    /// L⁻¹A.
+    half: HalfSolved,
     /// I + C, factorized.
     capacitance: SmallCholesky,
 }
 
 impl<'a> StitchedStiffness<'a> {
-    /// `columns` holds the flexibility columns of every stitch.
+    /// Takes half a solve for each column of A, of which most of the factor is skipped.
     pub fn new(
         model: &FullModel,
         stiffness: &'a BlockMatrix,
         factor: &'a SparseCholesky,
         stitches: &[Stitch],
-        columns: &FlexibilityColumns,
     ) -> Result<StitchedStiffness<'a>, DenseError> {
         let a = StitchMatrix::new(model, stitches);
-        let of_stitch: Vec<&Arc<Mat<f64>>> = stitches
-            .iter()
-            .map(|stitch| columns.get(&sorted(stitch.pair)))
-            .collect::<Option<_>>()
-            .ok_or(DenseError("look-up of a flexibility column"))?;
-        let mut g = Mat::zeros(model.n(), a.n_columns());
-        linalg::for_each_column(&mut g, |j, g| {
-            let column = of_stitch[j / 3].col_as_slice(j % 3);
-            for (to, from) in g.iter_mut().zip(column) {
-                *to = a.root_stiffness[j / 3] * from;
-            }
-        });
-        let c = a.transpose_times(g.as_ref());
-        let k = c.nrows();
-        let sum = Mat::from_fn(k, k, |i, j| 0.5 * (c[(i, j)] + c[(j, i)]) + f64::from(i == j));
+        let half = HalfSolved::new(factor, a.dense(model.n()));
+        let mut sum = linalg::gram(half.rows.as_ref(), half.rows.as_ref());
+        (0..sum.nrows()).for_each(|i| sum[(i, i)] += 1.0);
         let capacitance = SmallCholesky::new(sum.as_ref())?;
-        Ok(StitchedStiffness { stiffness, factor, a, g, capacitance })
+        Ok(StitchedStiffness { stiffness, factor, a, half, capacitance })
     }
 
     /// A.
@@ -174,14 +186,12 @@ impl<'a> StitchedStiffness<'a> {
         &self.a
     }
 
-    /// G = K_σ⁻¹A (n×3s).
-    pub fn g(&self) -> MatRef<'_, f64> {
-        self.g.as_ref()
-    }
-
-    /// `(I + C)⁻¹Z`.
-    pub fn capacitance_solve(&self, z: MatRef<'_, f64>) -> Mat<f64> {
-        self.capacitance.solve(z)
+    /// `K_σ⁻¹A (I + C)⁻¹ Z` (3s×k → n×k).
+    pub fn flexed(&self, z: MatRef<'_, f64>) -> Mat<f64> {
+        let mut x = Mat::zeros(self.factor.n(), z.ncols());
+        self.half.add_times(&mut x, 1.0, self.capacitance.solve(z).as_ref());
+        self.factor.backward_in_place(x.as_mut());
+        x
     }
 
     /// `K̂X`.
@@ -191,17 +201,17 @@ impl<'a> StitchedStiffness<'a> {
         y
     }
 
-    /// `K̂_σ⁻¹B`.
+    /// `K̂_σ⁻¹B`: the stitches take their part between the two halves of the solve.
     pub fn solve(&self, b: MatRef<'_, f64>) -> Mat<f64> {
         let mut x = b.to_owned();
-        self.factor.solve_in_place(x.as_mut());
-        self.correct(x)
-    }
-
-    /// K̂_σ⁻¹B from `x` = K_σ⁻¹B, which costs no sparse solve: GᵀB = AᵀK_σ⁻¹B = Aᵀx.
-    pub fn correct(&self, mut x: Mat<f64>) -> Mat<f64> {
-        let z = self.capacitance.solve(self.a.transpose_times(x.as_ref()).as_ref());
-        linalg::add_product(x.as_mut(), -1.0, self.g.as_ref(), z.as_ref());
+        if self.a.n_columns() == 0 {
+            self.factor.solve_in_place(x.as_mut());
+            return x;
+        }
+        self.factor.forward_in_place(x.as_mut());
+        let z = self.capacitance.solve(self.half.transpose_times(x.as_ref()).as_ref());
+        self.half.add_times(&mut x, -1.0, z.as_ref());
+        self.factor.backward_in_place(x.as_mut());
         x
     }
 }
