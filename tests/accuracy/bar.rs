@@ -1,16 +1,15 @@
 //! The case: an incised bar, stitched, under loads that bend it well beyond the linear range, with
 //! the full-order solution of each.
 
-use faer::{Mat, MatRef};
+use faer::MatRef;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sutura_core::assembly::FullModel;
-use sutura_core::assembly::mass::Mass;
 use sutura_core::build::{self, Artifacts, BuildParams, MassKind, RayleighDamping};
 use sutura_core::control::Uncontrolled;
-use sutura_core::edit::{Edit, Stitch};
+use sutura_core::edit::Edit;
 use sutura_core::material::Material;
-use sutura_core::testing::statics::{exact_reduced_model, solve_full_static};
+use sutura_core::testing::statics::StitchedBody;
 use sutura_core::testing::{Bar, BarMesh, Cell, Cut};
 
 /// Length, width and height in m.
@@ -22,6 +21,9 @@ const N_LOADS: usize = 6;
 /// Stitches, and the stiffness of each in N/m.
 const N_STITCHES: usize = 30;
 const STITCH_N_M: f64 = 1e5;
+
+/// Equal steps in which a load is applied.
+const LOAD_STEPS: usize = 4;
 
 /// A load in N at which the response is measured to find the one wanted.
 const TRIAL_N: f64 = 0.5;
@@ -101,9 +103,7 @@ impl Case {
 
 /// Loads on the stitched body and its full-order response to each.
 pub(crate) struct Truth<'a> {
-    model: &'a FullModel,
-    stitches: &'a [Stitch],
-    pub(crate) mass: Mass,
+    pub(crate) body: StitchedBody<'a>,
     loads: Vec<Vec<f64>>,
     solutions: Vec<Vec<f64>>,
     /// Largest displacement of the tip over the length, for each load.
@@ -114,12 +114,9 @@ impl<'a> Truth<'a> {
     /// Six random loads of one kind.
     pub(crate) fn new(case: &Case, stitched: &'a Artifacts, kind: Load) -> Truth<'a> {
         let model = stitched.full_model();
-        let mass = model.mass(MassKind::Lumped, &std::sync::Arc::new(model.pattern(&[])));
         let mut random = ChaCha8Rng::seed_from_u64(2);
         let mut truth = Truth {
-            model,
-            stitches: stitched.stitches(),
-            mass,
+            body: StitchedBody::new(model, stitched.stitches()).unwrap(),
             loads: Vec::new(),
             solutions: Vec::new(),
             tip_ratios: Vec::new(),
@@ -131,7 +128,7 @@ impl<'a> Truth<'a> {
                 + (TIP_RATIO[1] - TIP_RATIO[0]) * (index as f64 + 0.5) / N_LOADS as f64;
             let solve = |factor: f64| {
                 let load: Vec<f64> = shape.iter().map(|f| factor * f).collect();
-                let u = solve_full_static(model, stitched.stitches(), &load).unwrap();
+                let u = truth.body.equilibrium_by_steps(&load, LOAD_STEPS).unwrap().x;
                 let ratio = tip_ratio(case, model, &u);
                 (load, u, ratio)
             };
@@ -147,20 +144,9 @@ impl<'a> Truth<'a> {
     /// M-norm error of the static solution in the subspace of `basis` over the norm of the true
     /// one, for each load; ascending. Every tet is summed: no cubature.
     pub(crate) fn errors(&self, basis: MatRef<'_, f64>) -> Vec<f64> {
-        let reduced = exact_reduced_model(self.model, self.stitches, basis);
-        let norm = |x: &Mat<f64>| self.mass.inner(x.as_ref(), x.as_ref())[(0, 0)].sqrt();
-        let mut errors: Vec<f64> = self
-            .loads
-            .iter()
-            .zip(&self.solutions)
-            .map(|(load, u)| {
-                let load = basis.transpose() * column(load);
-                let start = vec![0.0; basis.ncols()];
-                let q = reduced.solve_static(load.col_as_slice(0), &start).unwrap();
-                let u = column(u).to_owned();
-                norm(&(basis * column(&q) - &u)) / norm(&u)
-            })
-            .collect();
+        let pairs = self.loads.iter().zip(&self.solutions);
+        let mut errors: Vec<f64> =
+            pairs.map(|(load, u)| self.body.error_in(basis, load, u).unwrap().0).collect();
         errors.sort_by(f64::total_cmp);
         errors
     }
@@ -172,10 +158,6 @@ fn tip_ratio(case: &Case, model: &FullModel, u: &[f64]) -> f64 {
         u[3 * index..][..3].iter().map(|x| x * x).sum::<f64>().sqrt()
     };
     case.bar.tip.iter().map(|&v| at(v)).fold(0.0, f64::max) / SIZE_M[0]
-}
-
-fn column(x: &[f64]) -> MatRef<'_, f64> {
-    MatRef::from_column_major_slice(x, x.len(), 1)
 }
 
 /// Median of ascending numbers.

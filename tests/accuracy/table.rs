@@ -44,8 +44,8 @@ fn medians(case: &Case, truth: &Truth<'_>, basis_size: usize) -> [f64; WAYS.len(
     let six = Derivatives::new(&exact, &new, 6, 1.0);
     let eight = Derivatives::new(&exact, &new, 8, 1.0);
     let reused = Derivatives::new(&exact, &old, params.n_derivative_modes, 0.4);
-    let hybrid = basis(&truth.mass, &new, &[&six, &reused], basis_size);
-    let full = basis(&truth.mass, &new, &[&eight], basis_size);
+    let hybrid = basis(truth.body.mass(), &new, &[&six, &reused], basis_size);
+    let full = basis(truth.body.mass(), &new, &[&eight], basis_size);
     [
         exact.basis(),
         flexibility.basis(),

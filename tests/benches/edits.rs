@@ -16,7 +16,7 @@ const COUNTS: [usize; 8] = [1, 5, 10, 20, 40, 80, 120, 160];
 
 /// Relative eigenvalue error asked of the lower half of the modes; [`UPPER_HALF`] times as much is
 /// accepted of the upper.
-const TOLERANCE: f64 = 1e-4;
+pub(crate) const TOLERANCE: f64 = 1e-4;
 const UPPER_HALF: f64 = 100.0;
 
 /// Repeated rebuilds: the stages that the paper times, and all of it.
@@ -222,12 +222,7 @@ fn table(
     ));
     let mut notes = Vec::new();
     if let Some(report) = updated.cubature() {
-        let source = match report.source {
-            CubatureSource::Trained => "trained",
-            CubatureSource::Reused => "reused",
-            CubatureSource::Refitted => "refitted",
-            CubatureSource::Retrained => "trained anew",
-        };
+        let source = name_of(report.source);
         notes.push(Check::at_most(
             format!("force error of the cubature after the edit ({source})"),
             report.validation_error,
@@ -248,6 +243,16 @@ fn table(
         checks,
         notes,
     ))
+}
+
+/// Where a cubature rule came from.
+pub(crate) fn name_of(source: CubatureSource) -> &'static str {
+    match source {
+        CubatureSource::Trained => "trained",
+        CubatureSource::Reused => "reused",
+        CubatureSource::Refitted => "refitted",
+        CubatureSource::Retrained => "trained anew",
+    }
 }
 
 /// Figure 3: how much of each exact mode of the stitched body the vectors of each method span.

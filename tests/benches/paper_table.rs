@@ -1,11 +1,14 @@
 //! The tables and figures of \[M16\] on bodies of its sizes, the core's stages beside its peers', and
 //! what makes them trustworthy: see README.md. `cargo bench --bench paper_table -- --help`
 
+mod accuracy;
+mod accuracy_report;
 mod bodies;
 mod clock;
 mod cubature;
 mod edits;
 mod kernels;
+mod loads;
 mod measure;
 mod paper;
 mod peers;
@@ -18,6 +21,7 @@ mod session;
 
 use bodies::Failure;
 use clap::Parser;
+use measure::Check;
 use peers::Peers;
 use results::{Part, Plan};
 use std::io::Write;
@@ -52,6 +56,9 @@ struct Arguments {
     /// Compare the methods that select cubature points as well: 16 builds a body.
     #[arg(long)]
     cubature: bool,
+    /// How good rebuilt bases are, instead of what they take: accuracy.json, accuracy.md and a picture.
+    #[arg(long)]
+    accuracy: bool,
     /// What peers/peers.py wrote.
     #[arg(long)]
     peers: Option<PathBuf>,
@@ -112,17 +119,29 @@ fn run(arguments: &Arguments) -> Result<ExitCode, Failure> {
         serde_json::to_writer(std::io::stdout().lock(), &answer)?;
         return Ok(ExitCode::SUCCESS);
     }
-    let peers = arguments.peers.as_deref().map(Peers::load).transpose()?;
-    let results = plan.run(peers)?;
     std::fs::create_dir_all(&arguments.out)?;
     let at = |name: &str| arguments.out.join(name);
+    if arguments.accuracy {
+        let results = plan.run_accuracy()?;
+        let pictures = pictures::draw_accuracy(&results, &arguments.out)?;
+        let text = accuracy_report::markdown(&results, &pictures);
+        std::fs::write(at("accuracy.json"), serde_json::to_vec_pretty(&results)?)?;
+        std::fs::write(at("accuracy.md"), &text)?;
+        return conclude(&text, &results.wrong());
+    }
+    let peers = arguments.peers.as_deref().map(Peers::load).transpose()?;
+    let results = plan.run(peers)?;
     let pictures = pictures::draw(&results, &arguments.out)?;
     let text = report::markdown(&results, &pictures);
     std::fs::write(at("paper_table.json"), serde_json::to_vec_pretty(&results)?)?;
     std::fs::write(at("paper_table.md"), &text)?;
+    conclude(&text, &results.wrong())
+}
+
+/// Shows the results; what is wrong decides how the program ends.
+fn conclude(text: &str, wrong: &[&(String, Check)]) -> Result<ExitCode, Failure> {
     std::io::stdout().lock().write_all(text.as_bytes())?;
-    let wrong = results.wrong();
-    for (body, check) in &wrong {
+    for (body, check) in wrong {
         eprintln!("wrong: {body}: {}: {:e} > {:e}", check.what, check.value, check.limit);
     }
     Ok(if wrong.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })

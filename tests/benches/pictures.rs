@@ -1,5 +1,6 @@
 //! The results as SVG pictures.
 
+use crate::accuracy::Accuracies;
 use crate::bodies::Failure;
 use crate::edits::Comparison;
 use crate::results::{BodyResults, Results};
@@ -52,6 +53,31 @@ pub(crate) fn draw(results: &Results, directory: &Path) -> Result<Vec<String>, F
     if let Some(scaling) = results.scaling.as_ref().filter(|scaling| scaling.points.len() > 1) {
         costs(scaling, &directory.join("scaling.svg"))?;
         names.push("scaling.svg".into());
+    }
+    Ok(names)
+}
+
+/// Draws the eigenvalue errors of each body into `directory` and returns the pictures' names.
+pub(crate) fn draw_accuracy(
+    results: &Accuracies,
+    directory: &Path,
+) -> Result<Vec<String>, Failure> {
+    let mut names = Vec::new();
+    for body in &results.bodies {
+        let mut curves: Vec<Curve> = Vec::new();
+        for quality in &body.qualities[1..] {
+            // Below rounding there is nothing to show, and zero has no logarithm.
+            let errors = quality.eigenvalue_errors.iter().map(|error| error.max(1e-12));
+            let points = errors.enumerate().map(|(i, error)| ((i + 1) as f64, error));
+            curves.push(Curve::new(quality.way.name().replace('`', ""), points.collect()));
+        }
+        let n = curves.iter().map(|curve| curve.points.len()).max().unwrap_or(1) as f64;
+        let name = format!("accuracy_{}.svg", body.name);
+        let title = format!("{}: relative eigenvalue error after the stitches", body.name);
+        let ticks: Vec<f64> = (-6..=0).map(|e| 100f64.powi(e)).collect();
+        let range = (1.0..n.max(2.0), (1e-12..3.0).log_scale().with_key_points(ticks));
+        chart(&directory.join(&name), &title, ["mode", "error"], range, &curves)?;
+        names.push(name);
     }
     Ok(names)
 }

@@ -2,9 +2,9 @@
 
 use crate::cubature::{ERRORS, POINTS};
 use crate::edits::{Comparison, Rebuilds};
-use crate::measure::Times;
+use crate::measure::{Check, Machine, Times};
 use crate::paper;
-use crate::peers::Target;
+use crate::peers::{Ratio, Target};
 use crate::results::Results;
 use std::fmt::Write;
 
@@ -29,7 +29,7 @@ fn ratio(from: f64, to: f64) -> String {
 
 /// A ratio, or a residual.
 fn number(value: f64) -> String {
-    if value != 0.0 && value.abs() < 1e-3 { format!("{value:.1e}") } else { format!("{value:.2}") }
+    if value != 0.0 && value.abs() < 1e-2 { format!("{value:.1e}") } else { format!("{value:.2}") }
 }
 
 fn megabytes(bytes: f64) -> String {
@@ -37,46 +37,62 @@ fn megabytes(bytes: f64) -> String {
 }
 
 /// A table being written.
-struct Table(String);
+pub(crate) struct Table(String);
 
 impl Table {
-    fn new(title: &str, head: &[&str]) -> Table {
+    pub(crate) fn new(title: &str, head: &[&str]) -> Table {
         let mut table = Table(format!("\n## {title}\n\n"));
         table.row(&head.iter().map(|cell| (*cell).to_owned()).collect::<Vec<_>>());
         table.row(&vec!["---".to_owned(); head.len()]);
         table
     }
 
-    fn row(&mut self, cells: &[String]) {
+    pub(crate) fn row(&mut self, cells: &[String]) {
         self.0.push_str(&format!("| {} |\n", cells.join(" | ")));
     }
 
-    fn note(mut self, text: &str) -> String {
+    pub(crate) fn note(mut self, text: &str) -> String {
         self.0.push_str(&format!("\n{text}\n"));
         self.0
     }
 }
 
-/// Everything.
-pub(crate) fn markdown(results: &Results, pictures: &[String]) -> String {
-    let machine = &results.machine;
-    let mut text = String::from("# What the numerical core takes\n\n");
-    let _ = writeln!(
-        text,
-        "{}, {} threads, {}, {:.0} GB; load average at the start {:.2}. Medians of {} repetitions; \
-         `paper_table.json` has the shortest and the longest.",
+/// What the figures were measured on.
+pub(crate) fn machine(machine: &Machine) -> String {
+    format!(
+        "{}, {} threads, {}, {:.0} GB; load average at the start {:.2}.",
         machine.cpu,
         machine.n_threads,
         machine.vectors.join(" "),
         machine.memory_bytes as f64 / 1e9,
         machine.load_average,
+    )
+}
+
+/// Everything.
+pub(crate) fn markdown(results: &Results, pictures: &[String]) -> String {
+    let mut text = String::from("# What the numerical core takes\n\n");
+    let _ = writeln!(
+        text,
+        "{} Medians of {} repetitions; `paper_table.json` has the shortest and the longest.",
+        machine(&results.machine),
         results.repeat,
     );
     if let Some(peers) = &results.peers {
         let _ = writeln!(text, "\nPeers, in the same run: {}.", peers.description);
     }
-    text += &comparison(results);
-    text += &correctness(results);
+    text += &targets(&results.ratios).note(
+        "Ratios with a target of “at least” are theirs over ours, the others ours over theirs \
+         (exponents: the \
+         difference; residuals: ours).",
+    );
+    let mut notes = String::from("Shown and not judged:");
+    for body in &results.bodies {
+        for note in &body.edits.notes {
+            let _ = write!(notes, " {}: {} {:.1e};", body.name, note.what, note.value);
+        }
+    }
+    text += &correctness(&results.checks).note(notes.trim_end_matches(';'));
     text += &table_1a(results);
     text += &table_1b(results);
     text += &table_1c(results);
@@ -96,10 +112,11 @@ pub(crate) fn markdown(results: &Results, pictures: &[String]) -> String {
     text
 }
 
-fn comparison(results: &Results) -> String {
+/// Every comparison, and whether its target is met.
+pub(crate) fn targets(ratios: &[Ratio]) -> Table {
     let head = ["work", "body", "against", "ours", "theirs", "ratio", "target", ""];
     let mut table = Table::new("Targets", &head);
-    for ratio in &results.ratios {
+    for ratio in ratios {
         let target = match ratio.target {
             // Residuals need an exponent.
             Target::AtMost(limit) if limit < 1e-3 => format!("≤ {limit:e}"),
@@ -124,16 +141,13 @@ fn comparison(results: &Results) -> String {
             verdict.into(),
         ]);
     }
-    table.note(
-        "Ratios with a target of “at least” are theirs over ours, the others ours over theirs \
-         (exponents: the \
-         difference; residuals: ours).",
-    )
+    table
 }
 
-fn correctness(results: &Results) -> String {
+/// The worst of every check.
+pub(crate) fn correctness(checks: &[(String, Check)]) -> Table {
     let mut worst: Vec<(&str, &str, f64, f64, usize, bool)> = Vec::new();
-    for (body, check) in &results.checks {
+    for (body, check) in checks {
         match worst.iter_mut().find(|(what, ..)| *what == check.what) {
             Some(entry) => {
                 entry.4 += 1;
@@ -159,13 +173,7 @@ fn correctness(results: &Results) -> String {
             if holds { "yes".into() } else { "**no**".into() },
         ]);
     }
-    let mut notes = String::from("Shown and not judged:");
-    for body in &results.bodies {
-        for note in &body.edits.notes {
-            let _ = write!(notes, " {}: {} {:.1e};", body.name, note.what, note.value);
-        }
-    }
-    table.note(notes.trim_end_matches(';'))
+    table
 }
 
 /// From scratch, ours unprepared and prepared, and the paper's three figures.

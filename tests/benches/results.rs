@@ -1,6 +1,7 @@
 //! Everything that one run finds, and how it is run: each part of each body in a process of its own,
 //! so that none inherits another's memory.
 
+use crate::accuracy::{self, Accuracies};
 use crate::bodies::{Body, Failure};
 use crate::cubature::{self, Method};
 use crate::edits::{self, Edits};
@@ -42,6 +43,7 @@ pub(crate) enum Part {
     Edits,
     Session,
     Cubature,
+    Accuracy,
     Vega,
     Scaling,
 }
@@ -96,6 +98,7 @@ impl Plan {
             )?)?,
             Part::Session => serde_json::to_value(session::measure(&body)?)?,
             Part::Cubature => serde_json::to_value(cubature::measure(&body)?)?,
+            Part::Accuracy => serde_json::to_value(accuracy::measure(&body)?)?,
             Part::Vega => serde_json::to_value(session::measure_vega(&body, self.repeat)?)?,
             Part::Scaling => unreachable!("answered above"),
         })
@@ -123,7 +126,13 @@ impl Plan {
         Ok(serde_json::from_slice(&output.stdout)?)
     }
 
-    /// Does everything.
+    /// How good rebuilt bases are, and nothing else.
+    pub(crate) fn run_accuracy(&self) -> Result<Accuracies, Failure> {
+        let bodies = self.bodies.iter().map(|name| self.answer(Part::Accuracy, name));
+        Ok(Accuracies::of(bodies.collect::<Result<_, _>>()?))
+    }
+
+    /// Does everything else.
     pub(crate) fn run(&self, peers: Option<Peers>) -> Result<Results, Failure> {
         let machine = Machine::here();
         let mut bodies = Vec::new();

@@ -1,11 +1,14 @@
 //! `paper_table` on the smallest body, once and in this process: every part runs, every check holds,
 //! and a wrong answer is noticed.
 
+mod accuracy;
+mod accuracy_report;
 mod bodies;
 mod clock;
 mod cubature;
 mod edits;
 mod kernels;
+mod loads;
 mod measure;
 mod paper;
 mod peers;
@@ -112,4 +115,40 @@ fn every_part_runs_and_a_wrong_answer_is_noticed() {
     std::fs::write(&path, serde_json::to_vec(&peers).unwrap()).unwrap();
     results.judge(Some(Peers::load(&path).unwrap()));
     assert_eq!(results.wrong().len(), 1);
+}
+
+#[test]
+fn the_accuracy_of_a_rebuilt_basis_is_told() {
+    let results = plan().run_accuracy().unwrap();
+    let wrong = results.wrong();
+    assert!(wrong.is_empty(), "{wrong:?}");
+    let body = &results.bodies[0];
+    assert_eq!((body.qualities.len(), body.loads.len()), (5, 2 * loads::N_LOADS));
+    assert!(body.loads.iter().all(|load| load.nonlinearity > 1e-3), "{:?}", body.loads);
+    let [exact, flexibility, .., low_rank, original] = &body.qualities[..] else {
+        panic!("{} ways", body.qualities.len())
+    };
+    assert!(exact.worst_eigenvalue_errors() == [0.0, 0.0] && exact.basis_angles[2] < 1e-6);
+    for kind in loads::Kind::ALL {
+        let errors = [exact, flexibility, low_rank, original].map(|way| way.static_error(kind));
+        // What a subspace of this size leaves, and what one that knows nothing of the stitches does.
+        assert!(errors[0] > 1e-5 && errors[0] < 0.2, "{kind:?} {errors:?}");
+        assert!(errors[1] < errors[2] && errors[1] < errors[3], "{kind:?} {errors:?}");
+    }
+    assert_eq!(results.targets.len(), 8);
+
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("accuracy");
+    std::fs::create_dir_all(&directory).unwrap();
+    let pictures = pictures::draw_accuracy(&results, &directory).unwrap();
+    let text = accuracy_report::markdown(&results, &pictures);
+    assert!(text.contains("Static solutions") && !text.contains("NaN"), "{text}");
+
+    // A spectrum that is not the stitched body's, and a truth that is none, are noticed.
+    let mut bodies = results.bodies;
+    bodies[0].qualities[1].eigenvalue_errors[0] = 1e-3;
+    bodies[0].loads[0].residual = 1e-3;
+    let residuals = loads::checks(&bodies[0].loads[0]);
+    assert!(!residuals[0].holds() && residuals[1].holds());
+    let spoilt = accuracy::Accuracies::of(bodies);
+    assert_eq!(spoilt.targets[0].is_met(), Some(false));
 }

@@ -20,6 +20,10 @@ const MOST_ITERATIONS: usize = 60;
 /// Residual relative to the load at which the equilibrium is found.
 const TOLERANCE: f64 = 1e-9;
 
+/// Units in the last place of the largest diagonal stiffness times ‖q‖ that rounding may leave of the
+/// residual: more than [`TOLERANCE`] where a soft part carries one 50 times as stiff.
+const ROUNDING_ULPS: f64 = 16.0;
+
 impl ReducedModel {
     /// The equilibrium q under the reduced load `force` (r numbers), from `start`.
     pub fn solve_static(&self, force: &[f64], start: &[f64]) -> Result<Vec<f64>, StaticError> {
@@ -30,20 +34,21 @@ impl ReducedModel {
         let potential = |q: &[f64], energy_j: f64| {
             energy_j - q.iter().zip(force).map(|(q, f)| q * f).sum::<f64>()
         };
+        let stiffest = (0..r).map(|i| self.rest_stiffness[(i, i)]).fold(0.0, f64::max);
         let mut residual = f64::INFINITY;
         for _ in 0..MOST_ITERATIONS {
             let sums = self.sums(&q, true);
             let gap: Vec<f64> = sums.force.iter().zip(force).map(|(f, e)| e - f).collect();
             residual = norm(&gap) / load;
-            if residual <= TOLERANCE {
+            let rounding = ROUNDING_ULPS * f64::EPSILON * stiffest * norm(&q) / load;
+            if residual <= TOLERANCE + rounding {
                 return Ok(q);
             }
             // An indefinite tangent is shifted until it descends.
             let rhs = Mat::from_fn(r, 1, |i, _| gap[i]);
-            let diagonal = (0..r).map(|i| self.rest_stiffness[(i, i)]).fold(0.0, f64::max);
             let factor = [0.0, 1e-6, 1e-4, 1e-2, 1.0].iter().find_map(|shift| {
                 let k = Mat::from_fn(r, r, |i, j| {
-                    sums.stiffness[(i, j)] + if i == j { shift * diagonal } else { 0.0 }
+                    sums.stiffness[(i, j)] + if i == j { shift * stiffest } else { 0.0 }
                 });
                 SmallCholesky::new(k.as_ref()).ok()
             });

@@ -11,6 +11,7 @@ use sutura_core::linalg;
 use sutura_core::material::stvk;
 use sutura_core::reduced::Evaluation;
 use sutura_core::testing::differences::slope;
+use sutura_core::testing::statics::StitchedBody;
 use sutura_core::testing::{BarMesh, Cut};
 
 const CUBATURE: CubatureParams = CubatureParams {
@@ -198,4 +199,38 @@ fn the_basis_is_mass_orthonormal_and_its_rows_are_those_of_its_columns() {
         assert_eq!(row[..], body.basis_column(i)[3 * vertex as usize..][..3]);
     }
     assert!(body.basis_rows(body.params().fixed_vertices[0]).iter().flatten().all(|x| *x == 0.0));
+}
+
+#[test]
+fn statics_in_a_subspace_are_those_of_the_reduced_model_and_in_the_whole_space_those_of_the_body() {
+    let bar = bar(Cut::HalfDepth);
+    let after = stitched(&bar, None).into_iter().last().unwrap();
+    let model = after.full_model();
+    let body = StitchedBody::new(model, after.stitches()).unwrap();
+    let mut load = vec![0.0; model.n()];
+    for &v in &bar.tip {
+        load[3 * model.free_index(v).unwrap() + 2] = 0.5 / bar.tip.len() as f64;
+    }
+    let whole = body.equilibrium(&load, &vec![0.0; model.n()]).unwrap();
+    let linear = body.linear_response(&load).unwrap();
+    let off: Vec<f64> = whole.x.iter().zip(&linear).map(|(u, l)| u - l).collect();
+    assert!(norm(&off) > 0.01 * norm(&whole.x), "not a test of the nonlinear terms");
+
+    let (error, inside) = body.error_in(after.basis(), &load, &whole.x).unwrap();
+    assert!(error > 1e-5 && error < 0.1, "{error:e}");
+    assert!(inside.potential_j > whole.potential_j);
+    let reduced_load = linalg::gram(after.basis(), column(&load));
+    let start = vec![0.0; after.basis_size()];
+    let q = after.model().solve_static(reduced_load.col_as_slice(0), &start).unwrap();
+    let off: Vec<f64> = q.iter().zip(&inside.x).map(|(q, x)| q - x).collect();
+    assert!(norm(&off) < 1e-6 * norm(&q), "{:e}", norm(&off) / norm(&q));
+
+    // The span of the solution alone: one more dimension and the error is gone.
+    let with_it = linalg::concatenate(&[after.basis(), column(&whole.x)]);
+    let (error, found) = body.error_in(with_it.as_ref(), &load, &whole.x).unwrap();
+    assert!(error < 1e-6, "{error:e}");
+    assert!((found.potential_j / whole.potential_j - 1.0).abs() < 1e-9);
+    let by_steps = body.equilibrium_by_steps(&load, 3).unwrap();
+    let off: Vec<f64> = by_steps.x.iter().zip(&whole.x).map(|(q, x)| q - x).collect();
+    assert!(norm(&off) < 1e-6 * norm(&whole.x));
 }
