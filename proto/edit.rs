@@ -6,6 +6,8 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
+/// Longest deadline, in ms.
+pub const MAX_DEADLINE_MS: f64 = 3.6e6;
 /// Most changes in one request.
 pub const MAX_EDITS: usize = 1024;
 /// Most pairs, or stitch names, in one change.
@@ -29,6 +31,12 @@ pub struct EditRequest {
     /// Default: 1e-4.
     #[serde(default = "default_tolerance")]
     pub tolerance: f64,
+    /// Time in ms, from when the edit begins, in which to answer with the best that fits; what it
+    /// leaves undone follows in the background, as a further generation that counts as this one in
+    /// `base_generation`. Without it the answer is finished, however long that takes (`flexibility`
+    /// only).
+    #[serde(default)]
+    pub deadline_ms: Option<f64>,
     /// The changes, applied in order; at least one, unless `restore` is given.
     pub edits: Vec<Edit>,
 }
@@ -97,6 +105,7 @@ impl EditRequest {
             restore: None,
             method: EditMethod::default(),
             tolerance: default_tolerance(),
+            deadline_ms: None,
             edits,
         }
     }
@@ -105,6 +114,9 @@ impl EditRequest {
     /// whether pairs coincide, is for the body to say.
     pub fn validate(&self) -> Result<(), Invalid> {
         within("/tolerance", self.tolerance, 1e-14, 1.0)?;
+        if let Some(deadline_ms) = self.deadline_ms {
+            within("/deadline_ms", deadline_ms, 0.0, MAX_DEADLINE_MS)?;
+        }
         if !(self.edits.is_empty() && self.restore.is_some()) {
             length_within("/edits", self.edits.len(), MAX_EDITS)?;
         }
@@ -162,6 +174,8 @@ pub struct EditReply {
     pub frequencies_hz: Vec<f64>,
     /// The relative residual of each mode.
     pub residuals: Vec<f64>,
+    /// How good the answer is, and how that is known.
+    pub certificate: Certificate,
     /// Columns of the basis.
     pub basis_size: usize,
     /// The cubature rule; `null` when every tet is summed.
@@ -170,6 +184,37 @@ pub struct EditReply {
     pub timings_ms: EditTimings,
     /// What the caller should know, in words.
     pub warnings: Vec<String>,
+}
+
+/// Where the modes of a generation come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// From what was prepared, without a sparse solve.
+    Patched,
+    /// With solves by the base body's factorization.
+    Refined,
+    /// From a factorization of their own, or of a new base body.
+    Rebuilt,
+}
+
+/// What a generation claims of itself, estimated from residuals.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Certificate {
+    /// Where the modes come from.
+    pub verdict: Verdict,
+    /// Largest estimated relative eigenvalue error in the lower half of the modes.
+    pub lower_eigenvalue_error: f64,
+    /// The same in the upper half, of which a hundred times the tolerance is asked.
+    pub upper_eigenvalue_error: f64,
+    /// Estimated sine of the largest angle between the lower half of the modes and the exact ones.
+    pub basis_angle: f64,
+    /// Relative reduced-force error of the cubature on poses held out; `null` when every tet is summed.
+    pub cubature_error: Option<f64>,
+    /// Whether eigenvalues and cubature are within their tolerances.
+    pub is_met: bool,
+    /// Whether the deadline left something undone, which follows in the background.
+    pub is_unfinished: bool,
 }
 
 /// Time spent in an edit, in ms.

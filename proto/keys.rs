@@ -15,6 +15,8 @@ pub enum Resource {
     Edits,
     /// Queryable: the [`crate::session::SessionInfo`].
     Info,
+    /// Queryable: a [`crate::session::SeamRequest`], answered by a [`crate::session::SeamReply`].
+    Seams,
     /// Queryable: linear modes.
     Modes,
     /// Queryable: the basis.
@@ -37,9 +39,10 @@ pub enum Resource {
 
 impl Resource {
     /// Every resource.
-    pub const ALL: [Resource; 11] = [
+    pub const ALL: [Resource; 12] = [
         Resource::Edits,
         Resource::Info,
+        Resource::Seams,
         Resource::Modes,
         Resource::Basis,
         Resource::Transfer,
@@ -56,6 +59,7 @@ impl Resource {
         match self {
             Resource::Edits => "edits",
             Resource::Info => "info",
+            Resource::Seams => "seams",
             Resource::Modes => "modes",
             Resource::Basis => "basis",
             Resource::Transfer => "transfer",

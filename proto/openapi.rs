@@ -12,6 +12,8 @@ use utoipa::OpenApi;
     crate::event::Event,
     crate::problem::Problem,
     crate::session::ForkRequest,
+    crate::session::SeamReply,
+    crate::session::SeamRequest,
     crate::session::SessionConfig,
     crate::session::SessionInfo,
     crate::session::SessionList,

@@ -324,6 +324,8 @@ pub struct SessionInfo {
     pub n_cubature_points: Option<usize>,
     /// Stitches in force.
     pub n_stitches: usize,
+    /// Candidate pairs that are prepared: edits of them take no sparse solve.
+    pub n_prepared_pairs: usize,
     /// Frequencies of the elastic modes in Hz, ascending.
     pub frequencies_hz: Vec<f64>,
     /// Bytes the session holds, parts shared with other sessions included.
@@ -336,6 +338,36 @@ pub struct SessionInfo {
     pub parameters: Option<SessionParameters>,
     /// Why the build failed.
     pub error: Option<Problem>,
+}
+
+/// Names candidate pairs, which are then prepared in the background.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SeamRequest {
+    /// Pairs of co-located vertices (zero-based) that may be stitched later.
+    pub pairs: Vec<[u32; 2]>,
+}
+
+impl SeamRequest {
+    /// Refuses what no body could accept.
+    pub fn validate(&self) -> Result<(), Invalid> {
+        match self.pairs.len() {
+            0 => Err(Invalid::new("/pairs", "must not be empty")),
+            n if n > MAX_SEAM_PAIRS => {
+                Err(Invalid::new("/pairs", format!("at most {MAX_SEAM_PAIRS} pairs")))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// What a session has of candidate pairs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct SeamReply {
+    /// Pairs named, when the session was opened and since.
+    pub n_pairs: usize,
+    /// Those prepared so far, stitched ones included.
+    pub n_prepared_pairs: usize,
 }
 
 /// The parameters a session was built with, every default filled in.

@@ -1,5 +1,6 @@
 //! A small body to operate on: a bar cut in two, one half held, to be stitched together.
 
+use std::time::{Duration, Instant};
 use sutura_client::Session;
 use sutura_client::proto::edit::{Edit, EditRequest};
 use sutura_client::proto::session::{
@@ -126,4 +127,13 @@ pub(crate) fn msh(mesh: &MeshConfig) -> String {
         text += &format!("{} 4 2 {label} {label} {a} {b} {c} {d}\n", i + 1);
     }
     text + "$EndElements\n"
+}
+
+/// Waits until the daemon has prepared `count` pairs of `session`.
+pub(crate) async fn prepared(session: &Session, count: usize) {
+    let deadline = Instant::now() + Duration::from_secs(60);
+    while session.info().await.unwrap().n_prepared_pairs < count {
+        assert!(Instant::now() < deadline, "the seams were not prepared");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
 }

@@ -1,12 +1,13 @@
 //! The main job: from a mesh to stitched generations, over both transports.
 
 use crate::bodies::{
-    CUBATURE_TOLERANCE, N_HALF, STIFFNESS_N_M, bar, config, msh, ready_bar, seam, stitch,
+    CUBATURE_TOLERANCE, N_HALF, STIFFNESS_N_M, bar, config, msh, prepared, ready_bar, seam, stitch,
 };
 use crate::daemon::Daemon;
 use std::collections::BTreeSet;
+use std::time::Duration;
 use sutura_client::Error;
-use sutura_client::proto::edit::{Edit, EditMethod, EditRequest};
+use sutura_client::proto::edit::{Edit, EditMethod, EditRequest, Verdict};
 use sutura_client::proto::event::Event;
 use sutura_client::proto::session::{SessionConfig, SessionState};
 
@@ -55,7 +56,8 @@ async fn an_incision_is_closed_over_http_and_over_zenoh() {
     let published = generations.next().await.unwrap();
     assert_eq!((published.generation, published.n_stitches), (2, 9));
 
-    // Both transports describe the same session.
+    // Both transports describe the same session, once nothing goes on in it any more.
+    prepared(&session, 9).await;
     let over_http = serde_json::to_value(session.info().await.unwrap()).unwrap();
     let over_zenoh = serde_json::to_value(bus.info().await.unwrap()).unwrap();
     assert_eq!(over_http, over_zenoh);
@@ -207,4 +209,65 @@ async fn a_session_tells_of_its_edits() {
     }
     let timed: BTreeSet<String> = session.info().await.unwrap().timings_ms.into_keys().collect();
     assert!(stages.contains("modes") && stages.is_subset(&timed), "{stages:?} of {timed:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn seams_are_prepared_in_the_background_and_can_be_added_to_an_open_session() {
+    let daemon = Daemon::start();
+    let client = daemon.client().await;
+    let pairs = seam();
+    let (named, added) = pairs.split_at(2);
+    let config = SessionConfig { mesh: Some(bar()), seams: named.to_vec(), ..config() };
+    let session = client.create(&config).await.unwrap();
+    session.wait_ready(|_| {}).await.unwrap();
+    prepared(&session, 2).await;
+    let reply = session.edit(&stitch(named)).await.unwrap();
+    assert_eq!(reply.certificate.verdict, Verdict::Patched, "{:?}", reply.certificate);
+
+    let zenoh = daemon.zenoh_client().await;
+    let bus = zenoh.session(session.id()).unwrap();
+    let half = added.len() / 2;
+    assert_eq!(session.add_seams(&added[..half]).await.unwrap().n_pairs, 2 + half);
+    assert_eq!(bus.add_seams(&added[half..]).await.unwrap().n_pairs, pairs.len());
+    prepared(&session, pairs.len()).await;
+    let reply = bus.edit(&stitch(added)).await.unwrap();
+    assert_eq!(reply.certificate.verdict, Verdict::Patched, "{:?}", reply.certificate);
+    assert!(reply.certificate.is_met);
+    assert!(!reply.timings_ms.stages.contains_key("seams"));
+
+    let apart = [pairs[0], [pairs[0][0], pairs[1][1]]];
+    let error = session.add_seams(&apart).await.unwrap_err();
+    let problem = error.problem().expect("the daemon says why");
+    assert_eq!((problem.status, problem.instance_pointer.as_deref()), (422, Some("/pairs/1")));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_deadline_is_kept_and_the_rest_follows() {
+    let daemon = Daemon::start();
+    let session = ready_bar(&daemon).await;
+    session.add_seams(&seam()).await.unwrap();
+    prepared(&session, seam().len()).await;
+    let mut events = session.events().await.unwrap();
+    // What was prepared does not reach this; refining takes longer than no time at all.
+    let request = EditRequest { deadline_ms: Some(0.0), tolerance: 1e-11, ..stitch(&seam()) };
+    let first = session.edit(&request).await.unwrap();
+    assert_eq!(first.certificate.verdict, Verdict::Patched);
+    assert!(first.certificate.is_unfinished && !first.certificate.is_met);
+    let improved = async {
+        while let Some(event) = events.next().await.unwrap() {
+            if matches!(&event, Event::Generation(made) if made.generation == first.generation + 1)
+            {
+                return;
+            }
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(60), improved).await.unwrap();
+    let info = session.info().await.unwrap();
+    assert_eq!((info.generation, info.n_stitches), (first.generation + 1, first.n_stitches));
+    assert!(difference(&info.frequencies_hz, &first.frequencies_hz) < 1e-2);
+    // To whoever edits, the improved generation is the one it was made of.
+    let unstitch = Edit::Unstitch { stitch_ids: first.stitch_ids.clone() };
+    let request =
+        EditRequest { base_generation: Some(first.generation), ..EditRequest::new(vec![unstitch]) };
+    assert_eq!(session.edit(&request).await.unwrap().n_stitches, 0);
 }

@@ -5,7 +5,7 @@ use crate::daemon::Daemon;
 use serde_json::Value;
 use std::collections::BTreeSet;
 
-const ROUTES: [(&str, &[&str]); 21] = [
+const ROUTES: [(&str, &[&str]); 22] = [
     ("/", &["get"]),
     ("/healthz", &["get"]),
     ("/readyz", &["get"]),
@@ -14,6 +14,7 @@ const ROUTES: [(&str, &[&str]); 21] = [
     ("/v1/sessions", &["get", "post"]),
     ("/v1/sessions/{id}", &["delete", "get"]),
     ("/v1/sessions/{id}/fork", &["post"]),
+    ("/v1/sessions/{id}/seams", &["post"]),
     ("/v1/sessions/{id}/events", &["get"]),
     ("/v1/sessions/{id}/edits", &["post"]),
     ("/v1/sessions/{id}/generations/{generation}/modes", &["get"]),

@@ -1,7 +1,7 @@
 //! Bad input: each gets a problem document that names the offender; the daemon goes on serving and
 //! the session is what it was.
 
-use crate::bodies::{TIP, bar, config, msh, ready_bar, seam, stitch};
+use crate::bodies::{TIP, bar, config, msh, prepared, ready_bar, seam, stitch};
 use crate::daemon::Daemon;
 use reqwest::multipart::{Form, Part};
 use reqwest::{Method, RequestBuilder, Response, header};
@@ -39,6 +39,8 @@ impl Scene {
         let daemon = Daemon::start();
         let session = ready_bar(&daemon).await;
         session.edit(&stitch(&seam()[..5])).await.unwrap();
+        // What goes on behind the edit shows in the session's description.
+        prepared(&session, 5).await;
         let before = session.info().await.unwrap();
         Scene { daemon, session, before }
     }

@@ -3,12 +3,14 @@
 use crate::arrays::{Arrays, Query};
 use crate::error::{Error, Result};
 use crate::states::StateStream;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::time::Duration;
 use sutura_proto::edit::{EditReply, EditRequest};
 use sutura_proto::event::GenerationInfo;
 use sutura_proto::generation::PARAMETER_GENERATION;
 use sutura_proto::keys::{self, Resource};
-use sutura_proto::session::SessionInfo;
+use sutura_proto::session::{SeamReply, SeamRequest, SessionInfo};
 use sutura_proto::simulation::{Force, ForceRequest};
 use sutura_proto::{bus, media};
 use tokio::runtime::{Handle, RuntimeFlavor};
@@ -106,10 +108,24 @@ impl BusSession {
         Ok(serde_json::from_slice(&reply.payload().to_bytes())?)
     }
 
+    /// Names candidate pairs, which the daemon prepares in the background.
+    pub async fn add_seams(&self, pairs: &[[u32; 2]]) -> Result<SeamReply> {
+        self.ask(Resource::Seams, &SeamRequest { pairs: pairs.to_vec() }).await
+    }
+
     /// Applies edits and waits for the new generation.
     pub async fn edit(&self, request: &EditRequest) -> Result<EditReply> {
+        self.ask(Resource::Edits, request).await
+    }
+
+    /// Sends a document as bincode and reads the one that comes back.
+    async fn ask<T: DeserializeOwned>(
+        &self,
+        resource: Resource,
+        request: &impl Serialize,
+    ) -> Result<T> {
         let request = bus::encode(request).map_err(|e| Error::Mismatch(e.to_string()))?;
-        let reply = self.query(Resource::Edits, String::new(), Some(request)).await?;
+        let reply = self.query(resource, String::new(), Some(request)).await?;
         let payload = reply.payload().to_bytes();
         if *reply.encoding() == Encoding::from(media::BINCODE) {
             bus::decode(&payload).map_err(|e| Error::Decode(e.to_string()))

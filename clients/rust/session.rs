@@ -10,7 +10,7 @@ use reqwest::{Method, RequestBuilder, header};
 use sutura_proto::edit::{EditReply, EditRequest};
 use sutura_proto::evaluate::{EvaluateReply, EvaluateRequest};
 use sutura_proto::event::Event;
-use sutura_proto::session::{ForkRequest, SessionInfo, SessionState};
+use sutura_proto::session::{ForkRequest, SeamReply, SeamRequest, SessionInfo, SessionState};
 use sutura_proto::simulation::{Force, ForceRequest, SimulationConfig, SimulationInfo};
 use sutura_proto::{Problem, keys, media};
 
@@ -91,6 +91,13 @@ impl Session {
         let request = self.request(Method::POST, &["fork"])?.json(&body);
         let info: SessionInfo = reply::document(request.send().await?).await?;
         self.client.session(&info.id)
+    }
+
+    /// Names candidate pairs, which the daemon prepares in the background.
+    pub async fn add_seams(&self, pairs: &[[u32; 2]]) -> Result<SeamReply> {
+        let body = SeamRequest { pairs: pairs.to_vec() };
+        let request = self.request(Method::POST, &["seams"])?.json(&body);
+        reply::document(request.send().await?).await
     }
 
     /// Applies edits and waits for the new generation.

@@ -2,8 +2,8 @@
 
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
+use sutura_proto::edit::{Certificate, EditTimings, MAX_PAIRS, Verdict};
 use sutura_proto::edit::{CubatureInfo, CubatureSource, Edit, EditMethod, EditReply, EditRequest};
-use sutura_proto::edit::{EditTimings, MAX_PAIRS};
 use sutura_proto::evaluate::{Coordinates, EvaluateReply, EvaluateRequest, Evaluation, MAX_BATCH};
 use sutura_proto::event::{Event, GenerationInfo};
 use sutura_proto::session::{CubatureConfig, MassConfig, SessionConfig};
@@ -50,6 +50,15 @@ fn edit_reply() -> EditReply {
         eigenvalues_per_s2: vec![1.5, 2.5],
         frequencies_hz: vec![0.25],
         residuals: vec![1e-9],
+        certificate: Certificate {
+            verdict: Verdict::Patched,
+            lower_eigenvalue_error: 1e-5,
+            upper_eigenvalue_error: 1e-3,
+            basis_angle: 0.02,
+            cubature_error: Some(0.04),
+            is_met: true,
+            is_unfinished: false,
+        },
         basis_size: 60,
         cubature: Some(CubatureInfo {
             n_points: 120,

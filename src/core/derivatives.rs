@@ -21,12 +21,6 @@ pub const SOLVE_TOLERANCE: f64 = 1e-2;
 /// Conjugate-gradient steps before the solution is taken as it is.
 const MOST_STEPS: usize = 60;
 
-/// Share of the base body's right-hand sides that an update reuses (\[M16\] §4.2.1).
-pub const REUSED_SHARE: f64 = 0.4;
-
-/// Modes of an updated body whose pairs give new derivatives (\[M16\] §4.2.1).
-pub const NEW_DERIVATIVE_MODES: usize = 6;
-
 /// Every pair i ≤ j of `k` modes, those of the lowest modes first.
 pub fn pairs(k: usize) -> Vec<[usize; 2]> {
     (0..k).flat_map(|j| (0..=j).map(move |i| [i, j])).collect()

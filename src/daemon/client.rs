@@ -61,6 +61,9 @@ pub(crate) struct StitchArgs {
     /// Relative eigenvalue error accepted.
     #[arg(long, default_value_t = 1e-4)]
     tolerance: f64,
+    /// Answer with the best that fits into so many milliseconds, and finish in the background.
+    #[arg(long)]
+    deadline_ms: Option<f64>,
     /// Refuse unless this is the current generation.
     #[arg(long, value_name = "GENERATION")]
     base_generation: Option<u64>,
@@ -171,12 +174,13 @@ pub(crate) async fn stitch(args: StitchArgs) -> Result<(), ClientError> {
     if let Some(path) = &args.pairs_file {
         pairs.extend(read_pairs(path)?);
     }
+    let stitch = Edit::Stitch { pairs, stiffness_n_m: args.stiffness };
     let request = EditRequest {
         base_generation: args.base_generation,
-        restore: None,
         method: args.method.into(),
         tolerance: args.tolerance,
-        edits: vec![Edit::Stitch { pairs, stiffness_n_m: args.stiffness }],
+        deadline_ms: args.deadline_ms,
+        ..EditRequest::new(vec![stitch])
     };
     let client = Client::connect(&args.client.server).await?;
     let reply = client.session(&args.session)?.edit(&request).await?;
@@ -283,6 +287,15 @@ fn print_reply(reply: &EditReply) -> Result<(), ClientError> {
     writeln!(out, "new          stitches {}", names.join(" "))?;
     writeln!(out, "stitches     {}", reply.n_stitches)?;
     writeln!(out, "frequencies  {} Hz", hertz(&reply.frequencies_hz))?;
+    let certificate = &reply.certificate;
+    writeln!(
+        out,
+        "certificate  {}{}; eigenvalues within {:.0e} (lower half) and {:.0e} (upper half)",
+        name_of(&certificate.verdict),
+        if certificate.is_unfinished { ", to be finished" } else { "" },
+        certificate.lower_eigenvalue_error,
+        certificate.upper_eigenvalue_error,
+    )?;
     for warning in &reply.warnings {
         writeln!(out, "warning      {warning}")?;
     }

@@ -38,6 +38,11 @@ pub(crate) fn create(request: &CreateSession, limits: &Limits) -> Result<(), Sto
     Ok(())
 }
 
+/// Checks how many candidate pairs a session may name.
+pub(crate) fn seams(n_pairs: usize, limits: &Limits) -> Result<(), StoreError> {
+    at_most("seams", limits.max_seams, n_pairs)
+}
+
 pub(crate) fn edit(request: &EditRequest, limits: &Limits) -> Result<(), StoreError> {
     at_most("edits in one request", limits.max_edits_per_request, request.edits.len())?;
     if request.edits.is_empty() && request.restore.is_none() {

@@ -92,7 +92,7 @@ impl From<BuildError> for StoreError {
     fn from(error: BuildError) -> Self {
         match error {
             BuildError::Cancelled(_) => StoreError::Cancelled,
-            BuildError::Edit(error) => StoreError::Edit(error),
+            BuildError::Edit(error) | BuildError::Seam(error) => StoreError::Edit(error),
             error => StoreError::Build(error),
         }
     }

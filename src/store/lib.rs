@@ -10,6 +10,7 @@
 //!
 //! Knows no HTTP, no Zenoh and no wire format.
 
+mod background;
 mod check;
 mod config;
 mod control;

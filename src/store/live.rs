@@ -5,10 +5,11 @@
 
 use crate::error::StoreError;
 use crate::event::{Event, EventKind};
+use crate::pool::{CancelOnDrop, catching};
 use crate::session::{Generation, GenerationRef, Progress, SessionId, SessionInfo, SessionState};
 use crate::simulation::{Frame, FrameSource};
 use crate::stepping::SimulationHandle;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use sutura_core::mesh::TetMesh;
 use tokio::sync::{broadcast, watch};
@@ -42,6 +43,10 @@ struct Inner {
     mesh: Arc<TetMesh>,
     generations: BTreeMap<u64, Arc<Generation>>,
     error: Option<Arc<StoreError>>,
+    /// Candidate pairs named since the session was opened, ends ascending.
+    seams: BTreeSet<[u32; 2]>,
+    /// The task that improves the current generation.
+    improvement: Option<CancelOnDrop>,
     simulation: Option<Arc<SimulationHandle>>,
     /// `None` once the session is deleted.
     channels: Option<Channels>,
@@ -65,13 +70,15 @@ impl LiveSession {
     pub(crate) fn fork(&self, name: Option<String>) -> Result<Self, StoreError> {
         let inner = self.lock();
         inner.current()?;
-        Ok(Self::with(
+        let fork = Self::with(
             name.unwrap_or_else(|| self.name.clone()),
             inner.mesh.clone(),
             SessionState::Ready,
             inner.generations.clone(),
             self.surroundings.clone(),
-        ))
+        );
+        fork.lock().seams.clone_from(&inner.seams);
+        Ok(fork)
     }
 
     fn with(
@@ -95,6 +102,8 @@ impl LiveSession {
                 mesh,
                 generations,
                 error: None,
+                seams: BTreeSet::new(),
+                improvement: None,
                 simulation: None,
                 channels: Some(channels),
             }),
@@ -160,6 +169,41 @@ impl LiveSession {
         })
     }
 
+    /// Candidate pairs named since the session was opened.
+    pub(crate) fn seams(&self) -> Vec<[u32; 2]> {
+        self.lock().seams.iter().copied().collect()
+    }
+
+    /// Adds candidate pairs; returns how many there are.
+    pub(crate) fn add_seams(&self, pairs: &[[u32; 2]]) -> usize {
+        let mut inner = self.lock();
+        inner.seams.extend(pairs.iter().map(|[a, b]| [*a.min(b), *a.max(b)]));
+        inner.seams.len()
+    }
+
+    /// Whether this generation is the current one.
+    pub(crate) fn is_current(&self, number: u64) -> bool {
+        self.lock().current().is_ok_and(|current| current.number == number)
+    }
+
+    /// Whether the session is gone.
+    pub(crate) fn is_closed(&self) -> bool {
+        self.lock().channels.is_none()
+    }
+
+    /// The task that improves the current generation.
+    pub(crate) fn set_improvement(&self, task: CancelOnDrop) {
+        let previous = self.lock().improvement.replace(task);
+        drop(previous);
+    }
+
+    /// Stops improving the current generation.
+    pub(crate) fn cancel_improvement(&self) {
+        // Not under the lock: dropping it takes the pool's.
+        let task = self.lock().improvement.take();
+        drop(task);
+    }
+
     pub(crate) fn subscribe(&self) -> Result<broadcast::Receiver<Event>, StoreError> {
         let inner = self.lock();
         let channels = inner.channels.as_ref().ok_or(StoreError::NoSession(self.id))?;
@@ -207,10 +251,12 @@ impl LiveSession {
     /// Refuses an edit that cannot succeed, however long it waits for its turn.
     pub(crate) fn check_editable(&self, base_generation: Option<u64>) -> Result<(), StoreError> {
         let inner = self.lock();
-        let current = inner.current()?.number;
+        let current = inner.current()?;
         match base_generation {
             // A larger one may become current while the edit waits.
-            Some(given) if given < current => Err(StoreError::WrongGeneration { given, current }),
+            Some(given) if given < current.number && current.improves != Some(given) => {
+                Err(StoreError::WrongGeneration { given, current: current.number })
+            }
             _ => Ok(()),
         }
     }
@@ -223,8 +269,10 @@ impl LiveSession {
     ) -> Result<Arc<Generation>, StoreError> {
         let mut inner = self.lock();
         let current = inner.current()?.clone();
+        // One that only improves the caller's is the same body to it.
         if let Some(given) = base_generation
             && given != current.number
+            && current.improves != Some(given)
         {
             return Err(StoreError::WrongGeneration { given, current: current.number });
         }
@@ -234,10 +282,7 @@ impl LiveSession {
 
     /// Makes `generation` current. Returns the simulation that has to follow, and what is no
     /// longer kept.
-    pub(crate) fn publish(
-        &self,
-        generation: Arc<Generation>,
-    ) -> (Option<Arc<SimulationHandle>>, Leftovers) {
+    fn publish(&self, generation: Arc<Generation>) -> (Option<Arc<SimulationHandle>>, Leftovers) {
         let mut inner = self.lock();
         let number = generation.number;
         if inner.channels.is_none() {
@@ -250,6 +295,20 @@ impl LiveSession {
         self.emit(&inner, EventKind::Generation(number));
         self.set_state(&mut inner, SessionState::Ready);
         (inner.simulation.clone(), leftovers)
+    }
+
+    /// Makes `generation` current, says so by `announce`, then tells the simulation, if there is one.
+    pub(crate) fn publish_and_follow(&self, generation: Arc<Generation>, announce: impl FnOnce()) {
+        let (simulation, leftovers) = self.publish(generation.clone());
+        announce();
+        drop(leftovers);
+        if let Some(simulation) = simulation {
+            // A simulation that cannot follow goes on with what it has; the panic is logged.
+            let _ = catching("the transfer", || {
+                simulation.follow(generation);
+                Ok(())
+            });
+        }
     }
 
     /// The edit failed: the session is as before.

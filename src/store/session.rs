@@ -98,6 +98,10 @@ pub struct Generation {
     pub artifacts: Arc<Artifacts>,
     /// The method of the edit that made it; `None` for the build.
     pub made_by: Option<Method>,
+    /// Relative eigenvalue error asked for.
+    pub tolerance: f64,
+    /// The generation that this one is the same body as, with what a deadline had left undone.
+    pub improves: Option<u64>,
     /// Stitches made by the edit, in the order of the request.
     pub stitch_ids: Vec<StitchId>,
     /// Time the computation took (waiting not included; zero for a body taken from another session).
@@ -135,6 +139,9 @@ pub struct EditRequest {
     pub method: Method,
     /// Relative eigenvalue error accepted (see [`sutura_core::build::RebuildParams`]).
     pub tolerance: f64,
+    /// Time in which to answer with the best that fits; the rest follows in the background, as a
+    /// further generation.
+    pub deadline: Option<Duration>,
     /// The edits, in order.
     pub edits: Vec<Edit>,
 }

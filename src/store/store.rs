@@ -18,6 +18,7 @@ use std::collections::BTreeMap;
 use std::ops::Bound;
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::{Duration, Instant};
+use sutura_core::build::check_seams;
 use sutura_core::control::Control;
 use sutura_core::reduced::Evaluation;
 use tokio::sync::{broadcast, oneshot};
@@ -25,6 +26,8 @@ use tokio::sync::{broadcast, oneshot};
 /// Classes of the build pool: edits go before builds.
 pub(crate) const EDIT: Class = 0;
 pub(crate) const BUILD: Class = 1;
+/// Behind both: what nobody waits for.
+pub(crate) const PREPARATION: Class = 2;
 /// The one class of the query pool.
 const QUERY: Class = 0;
 
@@ -40,12 +43,12 @@ pub struct Store {
     shared: Arc<Shared>,
 }
 
-struct Shared {
-    config: StoreConfig,
+pub(crate) struct Shared {
+    pub(crate) config: StoreConfig,
     sessions: RwLock<BTreeMap<SessionId, Arc<LiveSession>>>,
     surroundings: Surroundings,
     prepared: Arc<PreparedBodies>,
-    builds: Pool,
+    pub(crate) builds: Pool,
     queries: Pool,
     stepping: SteppingThreads,
 }
@@ -82,6 +85,7 @@ impl Store {
             // One thread is left to edits, which somebody waits for.
             n_running: (n_build_threads - 1).max(1),
         };
+        let preparations = ClassLimits { n_waiting: work.build_queue_limit, n_running: 1 };
         let n_query_threads = work.n_query_threads.max(1);
         let queries = ClassLimits { n_waiting: work.query_queue_limit, n_running: n_query_threads };
         let surroundings = Surroundings {
@@ -94,7 +98,7 @@ impl Store {
             sessions: RwLock::default(),
             surroundings,
             prepared: Arc::default(),
-            builds: Pool::start("build", n_build_threads, vec![edits, builds])?,
+            builds: Pool::start("build", n_build_threads, vec![edits, builds, preparations])?,
             queries: Pool::start("query", n_query_threads, vec![queries])?,
             stepping: SteppingThreads::start(work.n_stepping_threads, work.stepping_queue_limit)?,
             config,
@@ -134,8 +138,12 @@ impl Store {
         let task = {
             let (session, prepared) = (session.clone(), shared.prepared.clone());
             let interval = shared.config.work.progress_interval;
+            let store = Arc::downgrade(shared);
             move |cancel: &CancelFlag| {
                 run_build(&session, mesh, &params, &prepared, interval, cancel);
+                if let Some(store) = store.upgrade() {
+                    store.follow_up(&session);
+                }
             }
         };
         let id = session.id;
@@ -212,12 +220,33 @@ impl Store {
         check::edit(&request, &shared.config.limits)?;
         session.check_editable(request.base_generation)?;
         let (reply, answer) = oneshot::channel();
+        let store = Arc::downgrade(shared);
         let config = shared.config.clone();
+        // What is being improved is about to change.
+        session.cancel_improvement();
         let ticket = shared.builds.submit(EDIT, Some(id), move |cancel| {
             run_edit(&session, &request, &config, cancel, reply);
+            if let Some(store) = store.upgrade() {
+                store.follow_up(&session);
+            }
         })?;
         let _guard = ticket.cancel_on_drop();
         shared.builds.answer(answer).await
+    }
+
+    /// Names candidate pairs: they are prepared in the background, for this base body and those that
+    /// edits replace it by, until which edits of them cost solves. Returns how many the session has
+    /// named so far.
+    pub fn add_seams(&self, id: SessionId, pairs: Vec<[u32; 2]>) -> Result<usize, StoreError> {
+        let shared = &self.shared;
+        let session = self.session(id)?;
+        let generation = session.generation(GenerationRef::Current)?;
+        let named = session.seams().len() + generation.artifacts.params().seams.len();
+        check::seams(named + pairs.len(), &shared.config.limits)?;
+        check_seams(&generation.artifacts, &pairs)?;
+        let n_named = session.add_seams(&pairs) + generation.artifacts.params().seams.len();
+        shared.prepare_seams_later(&session);
+        Ok(n_named)
     }
 
     /// A generation of a session.

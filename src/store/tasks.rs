@@ -15,6 +15,9 @@ use sutura_core::control::Control;
 use sutura_core::mesh::TetMesh;
 use tokio::sync::oneshot;
 
+/// Tolerance that a build is finished to, if a later rebuild asks: its modes are far below.
+const DEFAULT_TOLERANCE: f64 = 1e-4;
+
 /// Builds the first generation of `session`, or takes an equal body that exists already.
 pub(crate) fn run_build(
     session: &LiveSession,
@@ -43,6 +46,8 @@ pub(crate) fn run_build(
             number: 0,
             artifacts,
             made_by: None,
+            tolerance: DEFAULT_TOLERANCE,
+            improves: None,
             stitch_ids: Vec::new(),
             computed_in,
         })
@@ -91,16 +96,10 @@ pub(crate) fn run_edit(
                 seconds = generation.computed_in.as_secs_f64(),
                 "generation ready"
             );
-            let (simulation, leftovers) = session.publish(generation.clone());
-            let _ = reply.send(Ok(generation.clone()));
-            drop(leftovers);
-            if let Some(simulation) = simulation {
-                // A simulation that cannot follow goes on with what it has; the panic is logged.
-                let _ = catching("the transfer", || {
-                    simulation.follow(generation);
-                    Ok(())
-                });
-            }
+            let answer = generation.clone();
+            session.publish_and_follow(generation, || {
+                let _ = reply.send(Ok(answer));
+            });
         }
         Err(error) => {
             tracing::info!(%error, "edit refused");
@@ -127,13 +126,18 @@ fn next_generation(
             number,
             artifacts: restored.artifacts.clone(),
             made_by: restored.made_by,
+            tolerance: restored.tolerance,
+            improves: None,
             stitch_ids: Vec::new(),
             computed_in: control.now(),
         }));
     }
     let previous = restored.as_deref().unwrap_or(previous);
     check::n_stitches(previous.artifacts.stitches().len(), &request.edits, &config.limits)?;
-    let params = RebuildParams::new(request.method, request.tolerance);
+    let params = RebuildParams {
+        deadline: request.deadline,
+        ..RebuildParams::new(request.method, request.tolerance)
+    };
     let (artifacts, stitch_ids) = rebuild(&previous.artifacts, &request.edits, &params, control)?;
     if control.is_cancelled() {
         return Err(StoreError::Cancelled);
@@ -142,6 +146,8 @@ fn next_generation(
         number,
         artifacts: Arc::new(artifacts),
         made_by: Some(request.method),
+        tolerance: request.tolerance,
+        improves: None,
         stitch_ids,
         computed_in: control.now(),
     }))

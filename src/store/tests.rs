@@ -131,6 +131,7 @@ async fn ready(store: &Store) -> SessionId {
 
 fn stitch(pairs: &[[u32; 2]]) -> EditRequest {
     EditRequest {
+        deadline: None,
         base_generation: None,
         restore: None,
         method: Method::Flexibility,

@@ -3,14 +3,14 @@
 use crate::conversion::array::{self, ArrayForm, ArrayKind, Reference};
 use crate::conversion::{edit, session, simulation};
 use crate::gateway::Gateway;
-use crate::problem::{Kind, Problem};
+use crate::problem::{Kind, Problem, of_build};
 use std::sync::Arc;
 use std::time::Instant;
 use sutura_core::mesh::MeshLimits;
 use sutura_proto::array::DType;
 use sutura_proto::edit::{EditReply, EditRequest};
 use sutura_proto::generation::{PARAMETER_DTYPE, PARAMETER_FROM, PARAMETER_HAVE};
-use sutura_proto::session::SessionInfo;
+use sutura_proto::session::{SeamReply, SeamRequest, SessionInfo};
 use sutura_proto::simulation::ForceRequest;
 use sutura_store::{Generation, GenerationRef, SessionId};
 
@@ -85,6 +85,20 @@ pub(crate) async fn edit(
     let method = request.method;
     let generation = gateway.store().edit(id, request).await?;
     Ok(edit::reply(&generation, method, begun.elapsed()))
+}
+
+/// Names candidate pairs.
+pub(crate) fn add_seams(
+    gateway: &Gateway,
+    id: SessionId,
+    request: SeamRequest,
+) -> Result<SeamReply, Problem> {
+    request.validate()?;
+    let added = gateway.store().add_seams(id, request.pairs);
+    let n_pairs = added.map_err(|error| of_build(&error).moved("/seams", "/pairs"))?;
+    let info = gateway.store().info(id)?;
+    let body = info.generation.as_ref().map(|generation| &generation.artifacts);
+    Ok(SeamReply { n_pairs, n_prepared_pairs: body.map_or(0, |body| body.n_prepared_pairs()) })
 }
 
 /// Lets forces act on a running simulation.

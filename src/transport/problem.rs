@@ -141,6 +141,11 @@ impl Problem {
         Problem { pointer: Some(pointer.into()), ..self }
     }
 
+    /// The member at fault has another name in the document that this answers.
+    pub(crate) fn moved(self, from: &str, to: &str) -> Problem {
+        Problem { pointer: self.pointer.map(|pointer| pointer.replacen(from, to, 1)), ..self }
+    }
+
     pub(crate) fn retry_after(self, seconds: u64) -> Problem {
         Problem { retry_after_s: Some(seconds), ..self }
     }

@@ -122,13 +122,6 @@ impl Prepared {
         self.x[1].columns.as_ref()
     }
 
-    /// θ = 1/(λ + σ) of X.
-    pub(super) fn theta(&self) -> Vec<f64> {
-        let rigid = std::iter::repeat_n(0.0, self.rigid().ncols());
-        let lambda = rigid.chain(self.spectrum.eigenvalues.iter().copied());
-        lambda.map(|lambda| (lambda + self.sigma).recip()).collect()
-    }
-
     /// What is prepared now.
     pub(super) fn seams(&self) -> Arc<Seams> {
         self.seams.read().unwrap_or_else(PoisonError::into_inner).clone()

@@ -18,7 +18,7 @@ pub use crate::reduced::RayleighDamping;
 pub use artifacts::{Artifacts, BasisDelta, CubatureReport, CubatureSource};
 pub use certificate::{Certificate, Verdict};
 pub use params::{BuildError, BuildParams, CubatureParams, Method, RebuildParams};
-pub use seams::prepare_seams;
+pub use seams::{check_seams, prepare_seams};
 
 use crate::assembly::FullModel;
 use crate::assembly::sparse::Pattern;
@@ -110,10 +110,7 @@ pub fn build(
         n_rigid_modes: prepared.rigid().ncols(),
         weighing: spectrum.eigenvalues.clone(),
         derivative_residual: derivatives.residual,
-        span: Span::Dense {
-            modes: prepared.modes().subcols(0, found).to_owned(),
-            derivatives: vec![derivatives],
-        },
+        span: Span::Dense { modes: prepared.modes().subcols(0, found).to_owned(), derivatives },
         spectrum,
         verdict: Verdict::Rebuilt,
         tolerance: None,
@@ -288,7 +285,7 @@ fn from_scratch(
         weighing: spectrum.eigenvalues.clone(),
         spectrum: spectrum.lowest(params.n_modes),
         derivative_residual: set.residual,
-        span: Span::Dense { modes: shapes, derivatives: vec![set] },
+        span: Span::Dense { modes: shapes, derivatives: set },
         verdict: Verdict::Rebuilt,
         tolerance: None,
         reuse: None,

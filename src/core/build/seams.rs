@@ -29,7 +29,7 @@ pub fn prepare_seams(
     control: &dyn Control,
 ) -> Result<(), BuildError> {
     let prepared = &body.prepared;
-    params::check_seams(&prepared.model, pairs)?;
+    check_seams(body, pairs)?;
     let seams = prepared.seams();
     let missing: Vec<[u32; 2]> =
         pairs.iter().copied().filter(|pair| seams.position(*pair).is_none()).collect();
@@ -44,16 +44,19 @@ pub fn prepare_seams(
     Ok(())
 }
 
-/// These seams and `pairs`, offered to later edits too.
+/// Refuses pairs that no stitch could join.
+pub fn check_seams(body: &Artifacts, pairs: &[[u32; 2]]) -> Result<(), BuildError> {
+    params::check_seams(&body.prepared.model, pairs)
+}
+
+/// These seams and `pairs`.
 pub(super) fn extended(
     prepared: &Prepared,
     seams: &Seams,
     pairs: &[[u32; 2]],
     control: &dyn Control,
 ) -> Result<Arc<Seams>, BuildError> {
-    let seams = Arc::new(seams.extended(&base_modes(prepared), pairs, control)?);
-    prepared.offer_seams(seams.clone());
-    Ok(seams)
+    Ok(Arc::new(seams.extended(&base_modes(prepared), pairs, control)?))
 }
 
 /// The base body as seams see it.
@@ -82,8 +85,10 @@ fn closed(prepared: &Prepared, seams: &Seams, control: &dyn Control) -> Result<S
     let n_left = closing.rigid_left()?.ncols();
     let (modes, spectrum) = closing.modes(n_left, params.n_derivative_modes)?;
     let count = spectrum.eigenvalues.len();
+    let [_, stiffness] = closing.grams(&modes);
+    let energies = (0..count).map(|i| stiffness[(i, i)]).collect();
     let shapes = combine(prepared, seams, &positions, &modes).dense().to_owned();
-    let modes = LinearModes { shapes, eigenvalues: spectrum.eigenvalues };
+    let modes = LinearModes { shapes, eigenvalues: energies };
 
     // Their loads, solved for on the base body.
     let stitched = StitchedStiffness::new(model, &prepared.stiffness, factor, &[])?;

@@ -31,11 +31,11 @@ pub(super) enum Span {
     Dense {
         /// n×k.
         modes: Mat<f64>,
-        /// The first set belongs to the modes of this generation.
-        derivatives: Vec<DerivativeSet>,
+        /// Of these modes.
+        derivatives: DerivativeSet,
     },
     /// Coefficients over what seams hold.
-    Prepared(PreparedSpan),
+    Prepared(Box<PreparedSpan>),
 }
 
 /// See [`Span::Prepared`].
@@ -86,25 +86,20 @@ fn reduce_dense(
     stitches: &[Stitch],
     weighing: &[f64],
     modes: Mat<f64>,
-    mut derivatives: Vec<DerivativeSet>,
+    derivatives: DerivativeSet,
 ) -> Result<Subspace, BuildError> {
     let params = &prepared.params;
     let weighed = LinearModes { shapes: modes, eigenvalues: weighing.to_vec() };
-    let groups: Vec<WeightedDerivatives<'_>> = derivatives
-        .iter()
-        .map(|set| WeightedDerivatives {
-            shapes: set.shapes.as_ref(),
-            eigenvalues: set.eigenvalues.clone(),
-        })
-        .collect();
-    let (basis, _) = mass_pca(&prepared.mass, &weighed, &groups, params.basis_size, params.pca)?;
-    drop(groups);
-    let own = derivatives.swap_remove(0);
+    let group = WeightedDerivatives {
+        shapes: derivatives.shapes.as_ref(),
+        eigenvalues: derivatives.eigenvalues.clone(),
+    };
+    let (basis, _) = mass_pca(&prepared.mass, &weighed, &[group], params.basis_size, params.pca)?;
     let stretch = StitchMatrix::new(&prepared.model, stitches).transpose_times(basis.as_ref());
     Ok(Subspace {
         of_modes: prepared.mass.inner(basis.as_ref(), weighed.shapes.as_ref()),
-        of_derivatives: prepared.mass.inner(basis.as_ref(), own.shapes.as_ref()),
-        pairs: own.pairs,
+        of_derivatives: prepared.mass.inner(basis.as_ref(), derivatives.shapes.as_ref()),
+        pairs: derivatives.pairs,
         modes: Combination::of_dense(weighed.shapes),
         basis: Combination::of_dense(basis),
         stretch,
@@ -117,7 +112,7 @@ impl PreparedSpan {
         let PreparedSpan { stitches, modes, responses, .. } = &self;
         let all = Coefficients::concatenate(&[modes, responses]);
         let [mass, stiffness] = stitches.grams(&all);
-        let weights = basis::weights(weighing, &self.seams.cases().eigenvalues());
+        let weights = basis::weights(weighing, &stitches.quotients());
         let mut w = basis::pca_of_gram(mass.as_ref(), &weights, prepared.params.basis_size)?;
         let mut basis = all.times(w.as_ref());
         // What rounding has left of non-orthogonality shows only in the combinations themselves.
@@ -150,7 +145,7 @@ impl PreparedSpan {
         let mut best: Option<(f64, usize, usize, usize)> = None;
         let (mut row, mut case) = (0, 0);
         for source in &cases.sources {
-            let m = source.eigenvalues.len();
+            let m = source.energies.len();
             let count = m.min(inner.ncols());
             let share = inner.submatrix(row, 0, m, count).squared_norm_l2();
             if best.is_none_or(|(other, ..)| share > other) {

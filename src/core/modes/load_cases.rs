@@ -32,8 +32,8 @@ pub struct Source {
     pub modes: Arc<Block>,
     /// XᵀMΨ (k×m).
     pub on_modes: Mat<f64>,
-    /// λ of each.
-    pub eigenvalues: Vec<f64>,
+    /// ψᵀKψ of each, K being the stiffness of the base body.
+    pub energies: Vec<f64>,
 }
 
 impl LoadCases {
@@ -58,7 +58,7 @@ impl LoadCases {
         self.len() == 0
     }
 
-    /// These and the `loads` of every pair of `modes`, with `solutions` K⁻¹L, whose share in X does not
+    /// These and the `loads` of every pair of `modes` (with ψᵀKψ for eigenvalues), with `solutions` K⁻¹L, whose share in X does not
     /// matter.
     pub fn with(
         &self,
@@ -82,7 +82,7 @@ impl LoadCases {
         let source = Source {
             on_modes: linalg::stacked(&inner.each_ref().map(Mat::as_ref)),
             modes: Block::new(modes.shapes),
-            eigenvalues: modes.eigenvalues,
+            energies: modes.eigenvalues,
         };
         LoadCases {
             sources: self.sources.iter().cloned().chain([source]).collect(),
@@ -106,16 +106,6 @@ impl LoadCases {
             mass: self.mass.submatrix(0, 0, q, q).to_owned(),
             energy: self.energy.submatrix(0, 0, q, q).to_owned(),
         }
-    }
-
-    /// The eigenvalues of the two modes that each load is made of.
-    pub fn eigenvalues(&self) -> Vec<[f64; 2]> {
-        let of_source = |source: &Source| {
-            let lambda = source.eigenvalues.clone();
-            let pairs = (0..lambda.len()).flat_map(|j| (0..=j).map(move |i| [i, j]));
-            pairs.map(|pair| pair.map(|i| lambda[i])).collect::<Vec<_>>()
-        };
-        self.sources.iter().flat_map(of_source).collect()
     }
 
     /// Bytes held, shared blocks included.

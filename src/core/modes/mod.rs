@@ -135,8 +135,9 @@ impl AuditedSpectrum {
         let count = self.eigenvalues.len();
         let allowed =
             |i: usize| if 2 * i < count { tolerance } else { UPPER_HALF_FACTOR * tolerance };
-        // Written so that a NaN is beyond.
-        (0..count).filter(|&i| !(self.error_estimates[i] <= allowed(i))).collect()
+        // A NaN is beyond.
+        let is_within = |i: &usize| self.error_estimates[*i] <= allowed(*i);
+        (0..count).filter(|i| !is_within(i)).collect()
     }
 
     /// Largest estimated errors in the lower and in the upper half.

@@ -68,8 +68,8 @@ pub struct Seams {
     gaps: Mat<f64>,
     /// Solutions F for loads of the base body.
     cases: LoadCases,
-    /// EᵀF, S₁ᵀMF, S₂ᵀMF (3p×q each), S₁ᵀMΨ and S₂ᵀMΨ (3p×m each, the sources side by side).
-    couplings: [Mat<f64>; 5],
+    /// EᵀF, S₁ᵀMF, S₂ᵀMF (3p×q each), S₁ᵀMΨ, S₂ᵀMΨ and EᵀΨ (3p×m each, the sources side by side).
+    couplings: [Mat<f64>; 6],
 }
 
 impl Seams {
@@ -134,10 +134,12 @@ impl Seams {
         }
         let mut at = 0;
         for source in &self.cases.sources {
-            let inner = linalg::gram(weighted.as_ref(), source.modes.columns.as_ref());
-            for (i, new) in new[3..].iter_mut().enumerate() {
-                let part = inner.subrows(i * half, half);
-                new.as_mut().submatrix_mut(0, at, half, inner.ncols()).copy_from(part);
+            let source = source.modes.columns.as_ref();
+            let inner = linalg::gram(weighted.as_ref(), source);
+            let gap = load.transpose_times(source);
+            let parts = [inner.subrows(0, half), inner.subrows(half, half), gap.as_ref()];
+            for (new, part) in new[3..].iter_mut().zip(parts) {
+                new.as_mut().submatrix_mut(0, at, half, source.ncols()).copy_from(part);
             }
             at += inner.ncols();
         }
@@ -194,8 +196,8 @@ impl Seams {
         rows_of(&self.gaps, positions)
     }
 
-    /// EᵀF, S₁ᵀMF, S₂ᵀMF, S₁ᵀMΨ and S₂ᵀMΨ of the pairs at `positions`.
-    pub fn couplings(&self, positions: &[usize]) -> [Mat<f64>; 5] {
+    /// EᵀF, S₁ᵀMF, S₂ᵀMF, S₁ᵀMΨ, S₂ᵀMΨ and EᵀΨ of the pairs at `positions`.
+    pub fn couplings(&self, positions: &[usize]) -> [Mat<f64>; 6] {
         self.couplings.each_ref().map(|m| rows_of(m, positions))
     }
 
@@ -277,10 +279,10 @@ impl Seams {
     }
 }
 
-fn no_couplings(cases: &LoadCases) -> [Mat<f64>; 5] {
-    let m = cases.sources.iter().map(|source| source.eigenvalues.len()).sum();
+fn no_couplings(cases: &LoadCases) -> [Mat<f64>; 6] {
+    let m = cases.sources.iter().map(|source| source.energies.len()).sum();
     let q = cases.len();
-    [q, q, q, m, m].map(|columns| Mat::zeros(0, columns))
+    [q, q, q, m, m, m].map(|columns| Mat::zeros(0, columns))
 }
 
 /// E of `pairs`, as the matrix of stitches of unit stiffness.

@@ -22,9 +22,10 @@ use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
 /// The resources that can be asked for.
-const RESOURCES: [Resource; 8] = [
+const RESOURCES: [Resource; 9] = [
     Resource::Edits,
     Resource::Info,
+    Resource::Seams,
     Resource::Modes,
     Resource::Basis,
     Resource::Transfer,
@@ -119,6 +120,7 @@ async fn answer(
     let (encoding, payload) = match resource {
         Resource::Edits => edit(gateway, id, query).await?,
         Resource::Info => (media::JSON, json(&command::info(gateway, id)?)?),
+        Resource::Seams => seams(gateway, id, query).await?,
         Resource::Modes => array(gateway, id, ArrayKind::Modes, query).await?,
         Resource::Basis => array(gateway, id, ArrayKind::Basis, query).await?,
         Resource::Transfer => array(gateway, id, ArrayKind::Transfer, query).await?,
@@ -157,6 +159,16 @@ async fn edit(
     let request = form.parse(gateway, query.payload()).await?;
     let reply = command::edit(gateway, id, request).await?;
     Ok((form.media(), form.write(&reply)?))
+}
+
+async fn seams(
+    gateway: &Gateway,
+    id: SessionId,
+    query: &Query,
+) -> Result<(&'static str, Vec<u8>), Problem> {
+    let form = Form::of(query.encoding())?;
+    let request = form.parse(gateway, query.payload()).await?;
+    Ok((form.media(), form.write(&command::add_seams(gateway, id, request)?)?))
 }
 
 async fn array(

@@ -3,7 +3,7 @@
 use crate::problem::Problem;
 use std::collections::BTreeMap;
 use std::time::Duration;
-use sutura_core::build::{CubatureReport, CubatureSource, Method};
+use sutura_core::build::{Certificate, CubatureReport, CubatureSource, Method, Verdict};
 use sutura_core::control::Stage;
 use sutura_core::edit::Edit;
 use sutura_proto::edit as wire;
@@ -18,6 +18,7 @@ pub(crate) fn request(request: wire::EditRequest) -> Result<EditRequest, Problem
         restore: request.restore,
         method: method(request.method),
         tolerance: request.tolerance,
+        deadline: request.deadline_ms.map(|ms| Duration::from_secs_f64(ms / 1e3)),
         edits,
     })
 }
@@ -71,10 +72,36 @@ pub(crate) fn reply(generation: &Generation, method: Method, total: Duration) ->
         eigenvalues_per_s2: artifacts.eigenvalues_per_s2().to_vec(),
         frequencies_hz: artifacts.frequencies_hz(),
         residuals: artifacts.residuals().to_vec(),
+        certificate: certificate(&artifacts.certificate()),
         basis_size: artifacts.basis_size(),
         cubature: artifacts.cubature().map(cubature),
         timings_ms: timings(artifacts.timings(), total),
         warnings: artifacts.warnings().to_vec(),
+    }
+}
+
+fn certificate(certificate: &Certificate) -> wire::Certificate {
+    let Certificate {
+        verdict,
+        lower_eigenvalue_error,
+        upper_eigenvalue_error,
+        basis_angle,
+        cubature_error,
+        is_met,
+        is_unfinished,
+    } = *certificate;
+    wire::Certificate {
+        verdict: match verdict {
+            Verdict::Patched => wire::Verdict::Patched,
+            Verdict::Refined => wire::Verdict::Refined,
+            Verdict::Rebuilt => wire::Verdict::Rebuilt,
+        },
+        lower_eigenvalue_error,
+        upper_eigenvalue_error,
+        basis_angle,
+        cubature_error,
+        is_met,
+        is_unfinished,
     }
 }
 
@@ -138,6 +165,7 @@ mod tests {
         ]);
         wire_request.base_generation = Some(4);
         wire_request.restore = Some(2);
+        wire_request.deadline_ms = Some(50.0);
         wire_request.method = wire::EditMethod::LowRank;
         let converted = request(wire_request).unwrap();
         assert_eq!(
@@ -147,6 +175,7 @@ mod tests {
                 restore: Some(2),
                 method: Method::LowRank,
                 tolerance: 1e-4,
+                deadline: Some(Duration::from_millis(50)),
                 edits: vec![
                     Edit::Stitch { pairs: vec![[1, 2], [3, 4]], stiffness_n_m: 10.0 },
                     Edit::Unstitch { stitch_ids: vec![7] },

@@ -192,6 +192,7 @@ pub(crate) fn info(info: &SessionInfo) -> wire::SessionInfo {
         basis_size: artifacts.map_or(0, |a| a.basis_size()),
         n_cubature_points: artifacts.and_then(|a| a.cubature()).map(|c| c.n_points),
         n_stitches: artifacts.map_or(0, |a| a.stitches().len()),
+        n_prepared_pairs: artifacts.map_or(0, |a| a.n_prepared_pairs()),
         frequencies_hz: artifacts.map(|a| a.frequencies_hz()).unwrap_or_default(),
         memory_bytes: artifacts.map_or(0, |a| a.memory_bytes() as u64),
         timings_ms: artifacts.map(|a| stage_milliseconds(a.timings())).unwrap_or_default(),

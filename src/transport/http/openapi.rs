@@ -115,6 +115,16 @@ const ROUTES: &[Route] = &[
         problems: &[Kind::NotReady, Kind::Full],
     },
     Route {
+        method: HttpMethod::Post,
+        path: "/v1/sessions/{id}/seams",
+        summary: "Name candidate pairs: they are prepared in the background",
+        query: &[],
+        request: Body::Json("SeamRequest"),
+        status: 202,
+        reply: Body::Json("SeamReply"),
+        problems: &[Kind::NotReady, Kind::TooLarge, Kind::ImpossibleConfiguration],
+    },
+    Route {
         method: HttpMethod::Get,
         path: "/v1/sessions/{id}/events",
         summary: "Follow a session: one Event document in each server-sent event",

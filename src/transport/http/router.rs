@@ -14,6 +14,7 @@ fn api() -> Vec<(&'static str, MethodRouter<Gateway>)> {
         ("/v1/sessions", post(session::create).get(session::list)),
         ("/v1/sessions/{id}", get(session::get).delete(session::delete)),
         ("/v1/sessions/{id}/fork", post(session::fork)),
+        ("/v1/sessions/{id}/seams", post(session::add_seams)),
         ("/v1/sessions/{id}/events", get(event::events)),
         ("/v1/sessions/{id}/edits", post(edit::edit)),
         ("/v1/sessions/{id}/generations/{generation}/modes", generation::get(ArrayKind::Modes)),

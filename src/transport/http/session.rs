@@ -1,6 +1,6 @@
-//! Sessions: open, describe, list, fork, delete.
+//! Sessions: open, describe, list, fork, name seams, delete.
 
-use super::extract::{DocumentOrDefault, InSession, Params};
+use super::extract::{Document, DocumentOrDefault, InSession, Params};
 use super::upload::upload;
 use crate::command;
 use crate::conversion::session;
@@ -12,7 +12,7 @@ use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use std::time::Duration;
-use sutura_proto::session::{ForkRequest, SessionInfo, SessionList};
+use sutura_proto::session::{ForkRequest, SeamReply, SeamRequest, SessionInfo, SessionList};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -118,4 +118,13 @@ pub(super) async fn fork(
     request.validate()?;
     let fork = gateway.store().fork(id, request.name)?;
     Ok(made(StatusCode::CREATED, command::info(&gateway, fork)?))
+}
+
+/// POST /v1/sessions/{id}/seams
+pub(super) async fn add_seams(
+    State(gateway): State<Gateway>,
+    InSession(id): InSession,
+    Document(request): Document<SeamRequest>,
+) -> Result<(StatusCode, Json<SeamReply>), Problem> {
+    Ok((StatusCode::ACCEPTED, Json(command::add_seams(&gateway, id, request)?)))
 }

@@ -1,0 +1,100 @@
+//! Work that nobody waits for: seams, and what a deadline left undone.
+//!
+//! It comes after edits and builds, one task at a time. Losing some of it loses time, nothing else.
+
+use crate::control::TaskControl;
+use crate::error::StoreError;
+use crate::live::LiveSession;
+use crate::pool::{CancelFlag, catching};
+use crate::session::{Generation, GenerationRef};
+use crate::store::{PREPARATION, Shared};
+use std::sync::Arc;
+use sutura_core::build::{Method, RebuildParams, prepare_seams, rebuild};
+use sutura_core::control::Control;
+
+impl Shared {
+    /// What the current generation of `session` leaves to be done, queued.
+    pub(crate) fn follow_up(self: &Arc<Self>, session: &Arc<LiveSession>) {
+        self.prepare_seams_later(session);
+        self.improve_later(session);
+    }
+
+    /// Prepares the pairs that the session names and those that are stitched, as far as the base body
+    /// has not got them.
+    pub(crate) fn prepare_seams_later(self: &Arc<Self>, session: &Arc<LiveSession>) {
+        let Ok(generation) = session.generation(GenerationRef::Current) else { return };
+        let body = &generation.artifacts;
+        let stitched = body.stitches().iter().map(|stitch| stitch.pair);
+        let named = session.seams().into_iter().chain(body.params().seams.iter().copied());
+        let mut missing = body.unprepared(named.chain(stitched));
+        let room = self.config.limits.max_seams.saturating_sub(body.n_prepared_pairs());
+        missing.truncate(room);
+        if missing.is_empty() {
+            return;
+        }
+        let live = Arc::downgrade(session);
+        let id = session.id;
+        let run = move |cancel: &CancelFlag| {
+            let _span = tracing::info_span!("seams", session = %id).entered();
+            // A session that has gone needs none.
+            if live.upgrade().is_none_or(|session| session.is_closed()) {
+                return;
+            }
+            let control = TaskControl::silent(cancel);
+            let body = &generation.artifacts;
+            let done = catching("preparing seams", || {
+                prepare_seams(body, &missing, &control).map_err(StoreError::from)
+            });
+            match done {
+                Ok(()) => tracing::info!(n_pairs = body.n_prepared_pairs(), "seams prepared"),
+                Err(error) => tracing::info!(%error, "seams not prepared"),
+            }
+        };
+        // Not in the session's lane: edits go on meanwhile.
+        if let Err(error) = self.builds.submit(PREPARATION, None, run) {
+            tracing::debug!(%error, "seams not prepared");
+        }
+    }
+
+    /// Finishes the current generation of `session` if a deadline left it unfinished.
+    fn improve_later(self: &Arc<Self>, session: &Arc<LiveSession>) {
+        let Ok(generation) = session.generation(GenerationRef::Current) else { return };
+        if !generation.artifacts.certificate().is_unfinished {
+            return;
+        }
+        let live = session.clone();
+        let run = move |cancel: &CancelFlag| {
+            let _span = tracing::info_span!("improvement", session = %live.id).entered();
+            // An edit has come in between: it starts from what there was.
+            if !live.is_current(generation.number) {
+                return;
+            }
+            let control = TaskControl::silent(cancel);
+            let params = RebuildParams::new(Method::Flexibility, generation.tolerance);
+            let improved = catching("an improvement", || {
+                let made = rebuild(&generation.artifacts, &[], &params, &control);
+                Ok(made.map_err(StoreError::from)?.0)
+            });
+            match improved {
+                Ok(artifacts) => {
+                    let next = Generation {
+                        number: generation.number + 1,
+                        artifacts: Arc::new(artifacts),
+                        made_by: generation.made_by,
+                        tolerance: generation.tolerance,
+                        improves: Some(generation.number),
+                        stitch_ids: Vec::new(),
+                        computed_in: control.now(),
+                    };
+                    tracing::info!(generation = next.number, "generation improved");
+                    live.publish_and_follow(Arc::new(next), || ());
+                }
+                Err(error) => tracing::info!(%error, "generation not improved"),
+            }
+        };
+        match self.builds.submit(PREPARATION, Some(session.id), run) {
+            Ok(ticket) => session.set_improvement(ticket.cancel_on_drop()),
+            Err(error) => tracing::debug!(%error, "generation not improved"),
+        }
+    }
+}
