@@ -10,6 +10,8 @@ use utoipa::ToSchema;
 pub const MAX_DEADLINE_MS: f64 = 3.6e6;
 /// Most changes in one request.
 pub const MAX_EDITS: usize = 1024;
+/// Most vertices in one change.
+pub const MAX_VERTICES: usize = 16_777_216;
 /// Most pairs, or stitch names, in one change.
 pub const MAX_PAIRS: usize = 65_536;
 
@@ -90,6 +92,19 @@ pub enum Edit {
         /// The factor, relative to the stiffness in force.
         factor: f64,
     },
+    /// Hold vertices where they rest. A stitch both of whose ends are held stays, without effect
+    /// until one of them is released. Changes the free degrees of freedom, so the body is factorized
+    /// anew (unless a kept generation holds just the same vertices).
+    Fix {
+        /// The vertices, none of them held yet (zero-based).
+        vertices: Vec<u32>,
+    },
+    /// Let vertices move that were held, by the session's configuration or by an edit. What nothing
+    /// holds any longer floats, with rigid modes. Costs what `fix` costs.
+    Release {
+        /// The vertices, each of them held (zero-based).
+        vertices: Vec<u32>,
+    },
 }
 
 impl EditRequest {
@@ -137,6 +152,14 @@ impl EditRequest {
                     length_within(&format!("{pointer}/stitch_ids"), stitch_ids.len(), MAX_PAIRS)?;
                     let pointer = format!("{pointer}/stiffness_n_m");
                     within(&pointer, *stiffness_n_m, f64::MIN_POSITIVE, f64::MAX)?;
+                }
+                Edit::Fix { vertices } => {
+                    let pointer = format!("/edits/{i}/fix/vertices");
+                    length_within(&pointer, vertices.len(), MAX_VERTICES)?;
+                }
+                Edit::Release { vertices } => {
+                    let pointer = format!("/edits/{i}/release/vertices");
+                    length_within(&pointer, vertices.len(), MAX_VERTICES)?;
                 }
                 Edit::ScaleStiffness { factor, .. } => {
                     within(&format!("/edits/{i}/scale_stiffness/factor"), *factor, 1e-9, 1e9)?;

@@ -77,6 +77,12 @@ pub(crate) fn seam() -> Vec<[u32; 2]> {
 /// A vertex at the bar's free end.
 pub(crate) const TIP: u32 = 2 * N_HALF - 1;
 
+/// The vertices that [`config`] does not hold.
+pub(crate) fn free_vertices() -> Vec<u32> {
+    let held = config().fixed_vertices;
+    (0..2 * N_HALF).filter(|vertex| !held.contains(vertex)).collect()
+}
+
 /// A configuration for the bar, its mesh left out: the end at x = 0 is held.
 pub(crate) fn config() -> SessionConfig {
     let n = CELLS[0] as u32 + 1;

@@ -1,15 +1,16 @@
 //! The main job: from a mesh to stitched generations, over both transports.
 
 use crate::bodies::{
-    CUBATURE_TOLERANCE, N_HALF, STIFFNESS_N_M, bar, config, msh, prepared, ready_bar, seam, stitch,
+    CUBATURE_TOLERANCE, N_HALF, STIFFNESS_N_M, TIP, bar, config, msh, prepared, ready_bar, seam,
+    stitch,
 };
 use crate::daemon::Daemon;
 use std::collections::BTreeSet;
 use std::time::Duration;
-use sutura_client::Error;
 use sutura_client::proto::edit::{Edit, EditMethod, EditRequest, Verdict};
 use sutura_client::proto::event::Event;
 use sutura_client::proto::session::{SessionConfig, SessionState};
+use sutura_client::{Arrays, Error, Tracker};
 
 /// Largest relative difference of corresponding numbers.
 fn difference(a: &[f64], b: &[f64]) -> f64 {
@@ -111,6 +112,50 @@ async fn undone_redone_and_changed_in_stiffness() {
 
     let lost = session.edit(&EditRequest::restore(99)).await.unwrap_err();
     assert_eq!(lost.status(), Some(404), "{lost}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn vertices_are_fixed_and_released_over_http_and_over_zenoh() {
+    let daemon = Daemon::start();
+    let session = ready_bar(&daemon).await;
+    let before = session.info().await.unwrap();
+    let fixed_before = before.parameters.as_ref().unwrap().n_fixed_vertices;
+    let mut tracker = Tracker::new(session.clone()).await.unwrap();
+
+    let tip = || vec![TIP - 1, TIP];
+    let fix = Edit::Fix { vertices: tip() };
+    let fixed = session.edit(&EditRequest::new(vec![fix])).await.unwrap();
+    // Held at two vertices, the free half can still turn about the line through them.
+    assert_eq!(fixed.n_rigid_modes, 1);
+    let info = session.info().await.unwrap();
+    assert_eq!(info.n_free_dofs, before.n_free_dofs - 6);
+    assert_eq!(info.parameters.unwrap().n_fixed_vertices, fixed_before + 2);
+    // The difference makes the new basis, in which the held vertices rest.
+    tracker.follow(fixed.generation).await.unwrap();
+    let whole = session.basis::<f32>(fixed.generation.into()).await.unwrap();
+    let (followed, fetched) = (tracker.basis(), &whole);
+    for i in 0..whole.size() {
+        let largest = fetched.column(i).iter().fold(0.0f32, |m, x| m.max(x.abs()));
+        for (a, b) in followed.column(i).iter().zip(fetched.column(i)) {
+            assert!((a - b).abs() < 1e-4 * largest, "column {i}: {a} and {b}");
+        }
+        assert!(fetched.column(i)[3 * (TIP as usize - 1)..].iter().all(|x| *x == 0.0));
+    }
+
+    let bus = daemon.zenoh_client().await.session(session.id()).unwrap();
+    let release = EditRequest::new(vec![Edit::Release { vertices: tip() }]);
+    let released = bus.edit(&release).await.unwrap();
+    assert_eq!(released.n_rigid_modes, before.n_rigid_modes);
+    let half = before.frequencies_hz.len() / 2;
+    let error = difference(&released.frequencies_hz[..half], &before.frequencies_hz[..half]);
+    assert!(error < 1e-4, "{error:e}");
+    // Undone across the change of supports, and everything let go.
+    let undone = session.edit(&EditRequest::restore(fixed.generation)).await.unwrap();
+    assert_eq!(undone.frequencies_hz, fixed.frequencies_hz);
+    let mut all = tip();
+    all.extend(config().fixed_vertices);
+    let floating = EditRequest::new(vec![Edit::Release { vertices: all }]);
+    assert_eq!(session.edit(&floating).await.unwrap().n_rigid_modes, 12);
 }
 
 #[tokio::test(flavor = "multi_thread")]

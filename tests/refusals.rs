@@ -1,7 +1,7 @@
 //! Bad input: each gets a problem document that names the offender; the daemon goes on serving and
 //! the session is what it was.
 
-use crate::bodies::{TIP, bar, config, msh, prepared, ready_bar, seam, stitch};
+use crate::bodies::{TIP, bar, config, free_vertices, msh, prepared, ready_bar, seam, stitch};
 use crate::daemon::Daemon;
 use reqwest::multipart::{Form, Part};
 use reqwest::{Method, RequestBuilder, Response, header};
@@ -224,6 +224,34 @@ async fn bad_edits() {
             json!({"scale_stiffness": {"domain": 9, "factor": 2}}),
             422,
             "/edits/0/scale_stiffness/domain",
+        ),
+        (
+            "a vertex fixed twice",
+            "/edits/0",
+            json!({"fix": {"vertices": [TIP, TIP]}}),
+            422,
+            "/edits/0/fix/vertices/1",
+        ),
+        (
+            "a vertex that is not there",
+            "/edits/0",
+            json!({"release": {"vertices": [4000000000u32]}}),
+            422,
+            "/edits/0/release/vertices/0",
+        ),
+        (
+            "a vertex released that is free",
+            "/edits/0",
+            json!({"release": {"vertices": [0, TIP]}}),
+            422,
+            "/edits/0/release/vertices/1",
+        ),
+        (
+            "everything fixed",
+            "/edits/0",
+            json!({"fix": {"vertices": free_vertices()}}),
+            422,
+            "/edits/0/fix/vertices",
         ),
     ] {
         let mut document = good.clone();

@@ -37,7 +37,9 @@ fn example_edits() -> Value {
                  {"unstitch": {"stitch_ids": [3, 4]}},
                  {"scale_stiffness": {"domain": 2, "factor": 100.0}},
                  {"set_stiffness": {"stitch_ids": [5], "stiffness_n_m": 2e5}},
-                 {"unstitch_all": {}} ] })
+                 {"unstitch_all": {}},
+                 {"fix": {"vertices": [7, 8]}},
+                 {"release": {"vertices": [7]}} ] })
 }
 
 fn edit_reply() -> EditReply {
@@ -111,7 +113,15 @@ fn unknown_members_are_refused_by_name() {
         let error = parse::<SessionConfig>(with(at, example_config())).unwrap_err().to_string();
         assert!(error.contains("speling"), "{at}: {error}");
     }
-    let edits = ["stitch", "unstitch", "scale_stiffness", "set_stiffness", "unstitch_all"];
+    let edits = [
+        "stitch",
+        "unstitch",
+        "scale_stiffness",
+        "set_stiffness",
+        "unstitch_all",
+        "fix",
+        "release",
+    ];
     let edits = edits.iter().enumerate().map(|(i, edit)| format!("/edits/{i}/{edit}"));
     for at in edits.chain([String::new()]) {
         let at = at.as_str();
@@ -213,6 +223,8 @@ fn impossible_edits_are_located() {
     refused("/edits/2/scale_stiffness/factor", json!(0));
     refused("/edits/3/set_stiffness/stitch_ids", json!([]));
     refused("/edits/3/set_stiffness/stiffness_n_m", json!(0));
+    refused("/edits/5/fix/vertices", json!([]));
+    refused("/edits/6/release/vertices", json!([]));
     let mut request: EditRequest = parse(example_edits()).unwrap();
     request.tolerance = f64::NAN;
     assert_eq!(pointer(request.validate()), "/tolerance");

@@ -1,7 +1,8 @@
 //! Edits: the only way a body changes after it was built.
 
-use crate::mesh::TetMesh;
-use std::collections::BTreeMap;
+use crate::mesh::{NO_COMPONENT, TetMesh};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 /// Identifies a stitch within its session. Never used twice along one line of generations; where a
 /// session returns to an earlier generation, the names of what came after it are given out again.
@@ -49,6 +50,17 @@ pub enum Edit {
         /// Relative to the stiffness in force.
         factor: f64,
     },
+    /// Hold vertices where they rest. A stitch both of whose ends are held stays, without effect
+    /// until one of them is released.
+    Fix {
+        /// The vertices, none of them held yet (zero-based).
+        vertices: Vec<u32>,
+    },
+    /// Let vertices move that were held, by the build or by an edit.
+    Release {
+        /// The vertices, each of them held (zero-based).
+        vertices: Vec<u32>,
+    },
 }
 
 /// Why an edit is impossible, and which entry of the request is at fault.
@@ -56,13 +68,25 @@ pub enum Edit {
 #[allow(missing_docs)] // the messages say what the fields are
 pub enum EditError {
     #[error(
-        "edit {edit}, pair {pair}: vertex {vertex} is out of range, the mesh has {n_vertices} vertices"
+        "edit {edit}, entry {position}: vertex {vertex} is out of range, the mesh has {n_vertices} vertices"
     )]
-    VertexOutOfRange { edit: usize, pair: usize, vertex: u32, n_vertices: usize },
-    #[error("edit {edit}, pair {pair}: vertex {vertex} belongs to no tet")]
-    UnusedVertex { edit: usize, pair: usize, vertex: u32 },
+    VertexOutOfRange {
+        edit: usize,
+        kind: EditKind,
+        position: usize,
+        vertex: u32,
+        n_vertices: usize,
+    },
+    #[error("edit {edit}, entry {position}: vertex {vertex} belongs to no tet")]
+    UnusedVertex { edit: usize, kind: EditKind, position: usize, vertex: u32 },
+    #[error("edit {edit}, entry {position}: vertex {vertex} is fixed already, or named twice")]
+    AlreadyFixed { edit: usize, position: usize, vertex: u32 },
+    #[error("edit {edit}, entry {position}: vertex {vertex} is not fixed, or named twice")]
+    NotFixed { edit: usize, position: usize, vertex: u32 },
+    #[error("edit {edit} leaves no vertex that could move")]
+    NothingFree { edit: usize },
     #[error("edit {edit}, pair {pair}: a vertex cannot be stitched to itself ({vertex})")]
-    SameVertex { edit: usize, pair: usize, vertex: u32 },
+    SameVertex { edit: usize, kind: EditKind, pair: usize, vertex: u32 },
     #[error(
         "edit {edit}, pair {pair}: vertices {a} and {b} do not coincide, they are {distance_m:e} m apart (at most {allowed_m:e} m)"
     )]
@@ -70,9 +94,9 @@ pub enum EditError {
     #[error(
         "edit {edit}, pair {pair}: vertices {a} and {b} are both fixed, a stitch would do nothing"
     )]
-    BothFixed { edit: usize, pair: usize, a: u32, b: u32 },
+    BothFixed { edit: usize, kind: EditKind, pair: usize, a: u32, b: u32 },
     #[error("edit {edit}, pair {pair}: vertices {a} and {b} are already stitched")]
-    AlreadyStitched { edit: usize, pair: usize, a: u32, b: u32 },
+    AlreadyStitched { edit: usize, kind: EditKind, pair: usize, a: u32, b: u32 },
     #[error("edit {edit}: stiffness {stiffness_n_m:e} N/m is outside {low:e} to {high:e}")]
     Stiffness { edit: usize, kind: EditKind, stiffness_n_m: f64, low: f64, high: f64 },
     #[error("edit {edit}: there is no stitch {id}")]
@@ -94,6 +118,8 @@ pub enum EditKind {
     UnstitchAll,
     SetStiffness,
     ScaleStiffness,
+    Fix,
+    Release,
 }
 
 impl Edit {
@@ -105,6 +131,8 @@ impl Edit {
             Edit::UnstitchAll => EditKind::UnstitchAll,
             Edit::SetStiffness { .. } => EditKind::SetStiffness,
             Edit::ScaleStiffness { .. } => EditKind::ScaleStiffness,
+            Edit::Fix { .. } => EditKind::Fix,
+            Edit::Release { .. } => EditKind::Release,
         }
     }
 }
@@ -120,106 +148,187 @@ pub const COINCIDENCE_RATIO: f64 = 1e-9;
 /// soft domain would come near the rounding of K's largest entries.
 pub const STIFFNESS_FACTOR_RANGE: [f64; 2] = [1e-6, 1e6];
 
-/// What edits have made of a body.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct EditState {
-    /// In the order in which they were made.
-    stitches: Vec<Stitch>,
-    next_id: StitchId,
+/// What a body's matrices and their factorization depend on: generations that agree in it are updates
+/// of one base body.
+#[derive(Clone, Debug)]
+pub struct BaseState {
+    mesh: Arc<TetMesh>,
+    fixed_vertices: BTreeSet<u32>,
     /// By domain label; domains as they were built are not listed.
     stiffness_factors: BTreeMap<i64, f64>,
 }
 
-impl EditState {
-    /// The stitches in force.
-    pub fn stitches(&self) -> &[Stitch] {
-        &self.stitches
+impl PartialEq for BaseState {
+    fn eq(&self, other: &BaseState) -> bool {
+        // The mesh is nearly always the same one: no need to look at every vertex.
+        (Arc::ptr_eq(&self.mesh, &other.mesh) || self.mesh == other.mesh)
+            && self.fixed_vertices == other.fixed_vertices
+            && self.stiffness_factors == other.stiffness_factors
+    }
+}
+
+impl BaseState {
+    /// The mesh.
+    pub fn mesh(&self) -> &Arc<TetMesh> {
+        &self.mesh
+    }
+
+    /// The vertices held.
+    pub fn fixed_vertices(&self) -> &BTreeSet<u32> {
+        &self.fixed_vertices
     }
 
     /// Factors on the stiffness of domains, by label, where they are not 1.
     pub fn stiffness_factors(&self) -> &BTreeMap<i64, f64> {
         &self.stiffness_factors
     }
+}
+
+/// What edits have made of a body.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EditState {
+    base: BaseState,
+    /// In the order in which they were made.
+    stitches: Vec<Stitch>,
+    next_id: StitchId,
+}
+
+impl EditState {
+    /// The body as it is built: `fixed_vertices` of the mesh are held.
+    pub fn new(mesh: Arc<TetMesh>, fixed_vertices: &[u32]) -> EditState {
+        let fixed_vertices = fixed_vertices.iter().copied().collect();
+        EditState {
+            base: BaseState { mesh, fixed_vertices, stiffness_factors: BTreeMap::new() },
+            stitches: Vec::new(),
+            next_id: 0,
+        }
+    }
+
+    /// What takes a factorization of its own.
+    pub fn base(&self) -> &BaseState {
+        &self.base
+    }
+
+    /// The stitches in force.
+    pub fn stitches(&self) -> &[Stitch] {
+        &self.stitches
+    }
 
     /// Applies `edits` in order and returns the new state with the names given to new stitches.
-    /// `is_fixed` tells whether a vertex is held. Nothing changes on error.
-    pub fn apply(
-        &self,
-        edits: &[Edit],
-        mesh: &TetMesh,
-        is_fixed: impl Fn(u32) -> bool,
-    ) -> Result<(EditState, Vec<StitchId>), EditError> {
+    /// Nothing changes on error.
+    pub fn apply(&self, edits: &[Edit]) -> Result<(EditState, Vec<StitchId>), EditError> {
         let mut new = self.clone();
         let mut ids = Vec::new();
-        let mut taken: std::collections::BTreeSet<[u32; 2]> =
-            new.stitches.iter().map(|s| sorted(s.pair)).collect();
-        let allowed_m = COINCIDENCE_RATIO * mesh.diagonal();
         for (edit, change) in edits.iter().enumerate() {
             let kind = change.kind();
-            let named = |state: &EditState, position, id| {
-                let at = state.stitches.iter().position(|stitch| stitch.id == id);
-                at.ok_or(EditError::UnknownStitch { edit, kind, position, id })
-            };
             match change {
                 Edit::Stitch { pairs, stiffness_n_m } => {
-                    check_stiffness(edit, kind, *stiffness_n_m)?;
-                    for (position, &pair) in pairs.iter().enumerate() {
-                        check_pair(edit, position, pair, mesh, allowed_m, &is_fixed)?;
-                        let [a, b] = pair;
-                        if !taken.insert(sorted(pair)) {
-                            return Err(EditError::AlreadyStitched { edit, pair: position, a, b });
-                        }
-                        let id = new.next_id;
-                        new.next_id += 1;
-                        ids.push(id);
-                        new.stitches.push(Stitch { id, pair, stiffness_n_m: *stiffness_n_m });
-                    }
+                    ids.extend(new.stitch(edit, kind, pairs, *stiffness_n_m)?);
                 }
                 Edit::Unstitch { stitch_ids } => {
                     for (position, id) in stitch_ids.iter().enumerate() {
-                        let at = named(&new, position, *id)?;
-                        taken.remove(&sorted(new.stitches.remove(at).pair));
+                        let at = new.position(edit, kind, position, *id)?;
+                        new.stitches.remove(at);
                     }
                 }
-                Edit::UnstitchAll => {
-                    new.stitches.clear();
-                    taken.clear();
-                }
+                Edit::UnstitchAll => new.stitches.clear(),
                 Edit::SetStiffness { stitch_ids, stiffness_n_m } => {
                     check_stiffness(edit, kind, *stiffness_n_m)?;
                     for (position, id) in stitch_ids.iter().enumerate() {
-                        let at = named(&new, position, *id)?;
+                        let at = new.position(edit, kind, position, *id)?;
                         new.stitches[at].stiffness_n_m = *stiffness_n_m;
                     }
                 }
                 Edit::ScaleStiffness { domain, factor } => {
-                    new.scale_stiffness(edit, *domain, *factor, mesh)?;
+                    new.scale_stiffness(edit, *domain, *factor)?;
+                }
+                Edit::Fix { vertices } => {
+                    for (position, &vertex) in vertices.iter().enumerate() {
+                        check_vertex(edit, kind, position, vertex, &self.base.mesh)?;
+                        if !new.base.fixed_vertices.insert(vertex) {
+                            return Err(EditError::AlreadyFixed { edit, position, vertex });
+                        }
+                    }
+                }
+                Edit::Release { vertices } => {
+                    for (position, &vertex) in vertices.iter().enumerate() {
+                        check_vertex(edit, kind, position, vertex, &self.base.mesh)?;
+                        if !new.base.fixed_vertices.remove(&vertex) {
+                            return Err(EditError::NotFixed { edit, position, vertex });
+                        }
+                    }
                 }
             }
+        }
+        // Edits take effect together: what one fixes another may release.
+        let last_fix = edits.iter().rposition(|change| change.kind() == EditKind::Fix);
+        if let Some(edit) = last_fix.filter(|_| new.nothing_is_free()) {
+            return Err(EditError::NothingFree { edit });
         }
         let ids = ids.into_iter().filter(|id| new.stitches.iter().any(|s| s.id == *id)).collect();
         Ok((new, ids))
     }
 
-    fn scale_stiffness(
+    /// Makes stitches on `pairs` and returns their names.
+    fn stitch(
         &mut self,
         edit: usize,
-        domain: i64,
-        factor: f64,
-        mesh: &TetMesh,
-    ) -> Result<(), EditError> {
+        kind: EditKind,
+        pairs: &[[u32; 2]],
+        stiffness_n_m: f64,
+    ) -> Result<Vec<StitchId>, EditError> {
+        check_stiffness(edit, kind, stiffness_n_m)?;
+        let allowed_m = COINCIDENCE_RATIO * self.base.mesh.diagonal();
+        let mut taken: BTreeSet<[u32; 2]> = self.stitches.iter().map(|s| sorted(s.pair)).collect();
+        let mut ids = Vec::with_capacity(pairs.len());
+        for (position, &pair) in pairs.iter().enumerate() {
+            check_pair(edit, kind, position, pair, &self.base, allowed_m)?;
+            let [a, b] = pair;
+            if !taken.insert(sorted(pair)) {
+                return Err(EditError::AlreadyStitched { edit, kind, pair: position, a, b });
+            }
+            let id = self.next_id;
+            self.next_id += 1;
+            ids.push(id);
+            self.stitches.push(Stitch { id, pair, stiffness_n_m });
+        }
+        Ok(ids)
+    }
+
+    /// Where the stitch named `id` stands.
+    fn position(
+        &self,
+        edit: usize,
+        kind: EditKind,
+        position: usize,
+        id: StitchId,
+    ) -> Result<usize, EditError> {
+        let at = self.stitches.iter().position(|stitch| stitch.id == id);
+        at.ok_or(EditError::UnknownStitch { edit, kind, position, id })
+    }
+
+    fn nothing_is_free(&self) -> bool {
+        let BaseState { mesh, fixed_vertices, .. } = &self.base;
+        let is_used = |v: &u32| mesh.component_of_vertex()[*v as usize] != NO_COMPONENT;
+        let n_used = mesh.vertices().len() - mesh.unused_vertices().len();
+        fixed_vertices.len() >= n_used
+            && fixed_vertices.iter().copied().filter(is_used).count() == n_used
+    }
+
+    fn scale_stiffness(&mut self, edit: usize, domain: i64, factor: f64) -> Result<(), EditError> {
+        let BaseState { mesh, stiffness_factors, .. } = &mut self.base;
         if !mesh.domains().contains(&domain) {
             return Err(EditError::UnknownDomain { edit, domain });
         }
-        let factor = factor * self.stiffness_factors.get(&domain).copied().unwrap_or(1.0);
+        let factor = factor * stiffness_factors.get(&domain).copied().unwrap_or(1.0);
         let [low, high] = STIFFNESS_FACTOR_RANGE;
         if !(low..=high).contains(&factor) {
             return Err(EditError::StiffnessFactor { edit, domain, factor, low, high });
         }
         if factor == 1.0 {
-            self.stiffness_factors.remove(&domain);
+            stiffness_factors.remove(&domain);
         } else {
-            self.stiffness_factors.insert(domain, factor);
+            stiffness_factors.insert(domain, factor);
         }
         Ok(())
     }
@@ -238,34 +347,44 @@ pub(crate) fn sorted([a, b]: [u32; 2]) -> [u32; 2] {
     [a.min(b), a.max(b)]
 }
 
+/// Checks that `vertex` is one of a tet.
+fn check_vertex(
+    edit: usize,
+    kind: EditKind,
+    position: usize,
+    vertex: u32,
+    mesh: &TetMesh,
+) -> Result<(), EditError> {
+    let n_vertices = mesh.vertices().len();
+    match mesh.component_of_vertex().get(vertex as usize) {
+        None => Err(EditError::VertexOutOfRange { edit, kind, position, vertex, n_vertices }),
+        Some(&NO_COMPONENT) => Err(EditError::UnusedVertex { edit, kind, position, vertex }),
+        Some(_) => Ok(()),
+    }
+}
+
 /// Checks that a stitch between the two vertices of `pair` is possible.
 pub(crate) fn check_pair(
     edit: usize,
-    position: usize,
+    kind: EditKind,
+    pair: usize,
     [a, b]: [u32; 2],
-    mesh: &TetMesh,
+    base: &BaseState,
     allowed_m: f64,
-    is_fixed: &impl Fn(u32) -> bool,
 ) -> Result<(), EditError> {
-    let n_vertices = mesh.vertices().len();
     for vertex in [a, b] {
-        if vertex as usize >= n_vertices {
-            return Err(EditError::VertexOutOfRange { edit, pair: position, vertex, n_vertices });
-        }
-        if mesh.component_of_vertex()[vertex as usize] == crate::mesh::NO_COMPONENT {
-            return Err(EditError::UnusedVertex { edit, pair: position, vertex });
-        }
+        check_vertex(edit, kind, pair, vertex, &base.mesh)?;
     }
     if a == b {
-        return Err(EditError::SameVertex { edit, pair: position, vertex: a });
+        return Err(EditError::SameVertex { edit, kind, pair, vertex: a });
     }
-    let [xa, xb] = [a, b].map(|v| nalgebra::Vector3::from(mesh.vertices()[v as usize]));
+    let [xa, xb] = [a, b].map(|v| nalgebra::Vector3::from(base.mesh.vertices()[v as usize]));
     let distance_m = (xa - xb).norm();
     if distance_m > allowed_m {
-        return Err(EditError::Apart { edit, pair: position, a, b, distance_m, allowed_m });
+        return Err(EditError::Apart { edit, pair, a, b, distance_m, allowed_m });
     }
-    if is_fixed(a) && is_fixed(b) {
-        return Err(EditError::BothFixed { edit, pair: position, a, b });
+    if base.fixed_vertices.contains(&a) && base.fixed_vertices.contains(&b) {
+        return Err(EditError::BothFixed { edit, kind, pair, a, b });
     }
     Ok(())
 }

@@ -57,6 +57,9 @@ pub(crate) fn edit(request: &EditRequest, limits: &Limits) -> Result<(), StoreEr
                 at_most("stitches in one edit", limits.max_stitches, pairs.len())?;
             }
             Edit::UnstitchAll | Edit::ScaleStiffness { .. } => {}
+            Edit::Fix { vertices } | Edit::Release { vertices } => {
+                at_most("vertices in one edit", limits.max_vertices, vertices.len())?;
+            }
             Edit::Unstitch { stitch_ids } | Edit::SetStiffness { stitch_ids, .. } => {
                 at_most("stitches in one edit", limits.max_stitches, stitch_ids.len())?;
             }
@@ -75,7 +78,10 @@ pub(crate) fn n_stitches(
         Edit::Stitch { pairs, .. } => n + pairs.len(),
         Edit::Unstitch { stitch_ids } => n.saturating_sub(stitch_ids.len()),
         Edit::UnstitchAll => 0,
-        Edit::SetStiffness { .. } | Edit::ScaleStiffness { .. } => n,
+        Edit::SetStiffness { .. }
+        | Edit::ScaleStiffness { .. }
+        | Edit::Fix { .. }
+        | Edit::Release { .. } => n,
     });
     at_most("stitches", limits.max_stitches, after)
 }

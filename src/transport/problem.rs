@@ -303,14 +303,27 @@ fn input_pointer(error: &InputError) -> Option<String> {
 
 fn edit_pointer(error: &EditError) -> String {
     match error {
-        EditError::VertexOutOfRange { edit, pair, .. }
-        | EditError::UnusedVertex { edit, pair, .. }
-        | EditError::SameVertex { edit, pair, .. }
-        | EditError::Apart { edit, pair, .. }
-        | EditError::BothFixed { edit, pair, .. }
-        | EditError::AlreadyStitched { edit, pair, .. } => {
-            format!("/edits/{edit}/stitch/pairs/{pair}")
+        EditError::VertexOutOfRange { edit, kind, position, .. }
+        | EditError::UnusedVertex { edit, kind, position, .. } => {
+            let entries = match kind {
+                EditKind::Fix | EditKind::Release => "vertices",
+                _ => "pairs",
+            };
+            format!("/edits/{edit}/{}/{entries}/{position}", member(*kind))
         }
+        EditError::SameVertex { edit, kind, pair, .. }
+        | EditError::BothFixed { edit, kind, pair, .. }
+        | EditError::AlreadyStitched { edit, kind, pair, .. } => {
+            format!("/edits/{edit}/{}/pairs/{pair}", member(*kind))
+        }
+        EditError::Apart { edit, pair, .. } => format!("/edits/{edit}/stitch/pairs/{pair}"),
+        EditError::AlreadyFixed { edit, position, .. } => {
+            format!("/edits/{edit}/fix/vertices/{position}")
+        }
+        EditError::NotFixed { edit, position, .. } => {
+            format!("/edits/{edit}/release/vertices/{position}")
+        }
+        EditError::NothingFree { edit } => format!("/edits/{edit}/fix/vertices"),
         EditError::Stiffness { edit, kind, .. } => {
             format!("/edits/{edit}/{}/stiffness_n_m", member(*kind))
         }
@@ -334,21 +347,21 @@ fn member(kind: EditKind) -> &'static str {
         EditKind::UnstitchAll => "unstitch_all",
         EditKind::SetStiffness => "set_stiffness",
         EditKind::ScaleStiffness => "scale_stiffness",
+        EditKind::Fix => "fix",
+        EditKind::Release => "release",
     }
 }
 
 fn pair_of(error: &EditError) -> Option<usize> {
     match error {
-        EditError::VertexOutOfRange { pair, .. }
-        | EditError::UnusedVertex { pair, .. }
-        | EditError::SameVertex { pair, .. }
+        EditError::VertexOutOfRange { position, .. } | EditError::UnusedVertex { position, .. } => {
+            Some(*position)
+        }
+        EditError::SameVertex { pair, .. }
         | EditError::Apart { pair, .. }
         | EditError::BothFixed { pair, .. }
         | EditError::AlreadyStitched { pair, .. } => Some(*pair),
-        EditError::Stiffness { .. }
-        | EditError::UnknownStitch { .. }
-        | EditError::UnknownDomain { .. }
-        | EditError::StiffnessFactor { .. } => None,
+        _ => None,
     }
 }
 
@@ -423,7 +436,12 @@ mod tests {
             (StoreError::Busy { retry_after_s: 0 }, 503, None),
             (StoreError::ShuttingDown, 503, None),
             (
-                StoreError::Edit(EditError::SameVertex { edit: 1, pair: 2, vertex: 7 }),
+                StoreError::Edit(EditError::SameVertex {
+                    edit: 1,
+                    kind: EditKind::Stitch,
+                    pair: 2,
+                    vertex: 7,
+                }),
                 422,
                 Some("/edits/1/stitch/pairs/2"),
             ),
@@ -467,7 +485,8 @@ mod tests {
 
     #[test]
     fn a_seam_at_fault_is_pointed_at_in_the_configuration() {
-        let error = StoreError::Edit(EditError::SameVertex { edit: 0, pair: 2, vertex: 7 });
+        let kind = EditKind::Stitch;
+        let error = StoreError::Edit(EditError::SameVertex { edit: 0, kind, pair: 2, vertex: 7 });
         let problem = of_build(&error);
         assert_eq!(problem.pointer.as_deref(), Some("/seams/2"));
         assert_eq!(problem.kind, Kind::ImpossibleConfiguration);

@@ -191,6 +191,29 @@ impl FullModel {
         }
     }
 
+    /// The same over all vertices of the mesh, fixed and unused ones included.
+    pub fn mass_everywhere(&self, kind: MassKind) -> Mass {
+        let tets = self.mesh.tets();
+        match kind {
+            MassKind::Lumped => Mass::Lumped(self.lumped_mass_kg()),
+            MassKind::Consistent => {
+                let pattern = Arc::new(Pattern::new(self.free_of_vertex.len(), tets, &[]));
+                let mut values = vec![0.0; pattern.n_entries()];
+                for (t, corners) in tets.iter().enumerate() {
+                    let share = self.density_kg_m3[t] * self.volumes_m3[t] / 20.0;
+                    for &v in corners {
+                        for &w in corners {
+                            if let Some(entry) = pattern.find(v as usize, w) {
+                                values[entry] += if v == w { 2.0 * share } else { share };
+                            }
+                        }
+                    }
+                }
+                Mass::Consistent(sparse::ScalarMatrix::new(pattern, values))
+            }
+        }
+    }
+
     /// K = ∂f_int/∂u at rest.
     pub fn rest_stiffness(&self, pattern: &Arc<Pattern>) -> BlockMatrix {
         let mut blocks = vec![[0.0; 9]; pattern.n_entries()];

@@ -8,7 +8,7 @@ use crate::assembly::sparse::BlockMatrix;
 use crate::control::Stage;
 use crate::cubature::Rule;
 use crate::dictionary::{Block, Combination};
-use crate::edit::{EditState, Stitch};
+use crate::edit::{BaseState, EditState, Stitch};
 use crate::factorization::SparseCholesky;
 use crate::linalg;
 use crate::mesh::TetMesh;
@@ -19,7 +19,7 @@ use crate::modes::stitched::StitchMatrix;
 use crate::reduced::{self, Evaluation, EvaluatorTables, ReducedModel};
 use faer::{Mat, MatRef};
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, OnceLock, PoisonError, RwLock};
+use std::sync::{Arc, OnceLock, PoisonError, RwLock, Weak};
 use std::time::Duration;
 
 /// Where the cubature rule of a generation came from.
@@ -47,21 +47,12 @@ pub struct CubatureReport {
     pub validation_error: f64,
 }
 
-/// Difference between two bases of one body: `new = [old | columns] · w`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct BasisDelta {
-    /// Columns that the old basis lacks, each over all vertices, vertex-major (3·n_vertices).
-    pub columns: Vec<Vec<f64>>,
-    /// (r_old + columns.len()) × r_new, row-major.
-    pub w: Vec<f64>,
-}
-
-/// The base body: everything that later edits reuse. Made once, shared by every generation until a
-/// domain's stiffness changes.
+/// The base body: everything that later edits reuse. Made once, shared by every generation until an
+/// edit changes the [`BaseState`].
 pub(super) struct Prepared {
     pub(super) params: BuildParams,
-    /// By which the materials of `params` are stiffer here.
-    pub(super) stiffness_factors: BTreeMap<i64, f64>,
+    /// What edits have made of it before it was prepared.
+    pub(super) state: BaseState,
     pub(super) model: FullModel,
     pub(super) mass: Mass,
     /// Made by the first `low_rank` update.
@@ -85,7 +76,7 @@ impl Prepared {
     #[allow(clippy::too_many_arguments)] // each once, at one place
     pub(super) fn new(
         params: BuildParams,
-        stiffness_factors: BTreeMap<i64, f64>,
+        state: BaseState,
         model: FullModel,
         mass: Mass,
         stiffness: BlockMatrix,
@@ -98,7 +89,7 @@ impl Prepared {
     ) -> Prepared {
         Prepared {
             params,
-            stiffness_factors,
+            state,
             model,
             mass,
             mass_inverse: OnceLock::new(),
@@ -139,6 +130,8 @@ impl Prepared {
 /// One generation of a prepared body. Immutable; shared by `Arc`.
 pub struct Artifacts {
     pub(super) prepared: Arc<Prepared>,
+    /// Base bodies of generations before this one, the latest first.
+    pub(super) earlier: Vec<Weak<Prepared>>,
     pub(super) state: EditState,
     pub(super) n_rigid_modes: usize,
     pub(super) spectrum: AuditedSpectrum,
@@ -187,7 +180,11 @@ impl Artifacts {
     }
     /// Factors by which domains are stiffer than they were built, by label, where not 1.
     pub fn stiffness_factors(&self) -> &BTreeMap<i64, f64> {
-        self.state.stiffness_factors()
+        self.state.base().stiffness_factors()
+    }
+    /// The vertices held, by the build or by edits.
+    pub fn fixed_vertices(&self) -> &BTreeSet<u32> {
+        self.state.base().fixed_vertices()
     }
     /// Three times the number of vertices that may move.
     pub fn n_free_dofs(&self) -> usize {
@@ -333,41 +330,6 @@ impl Artifacts {
         self.prepared.model.lumped_mass_kg()
     }
 
-    /// `transfer` with q_new = transfer · q_old: ŪᵀMU_old, r_new × r_old, row-major. Both must be
-    /// generations of one build.
-    pub fn transfer_from(&self, old: &Artifacts) -> Vec<f64> {
-        rows(&self.prepared.mass.inner(self.basis(), old.basis()))
-    }
-
-    /// What a client that holds the basis of `old` needs to make this one.
-    ///
-    /// The columns are an M-orthonormal basis of what the old span lacks; directions of which less
-    /// than 1e-7 lies outside are within single precision and left out.
-    pub fn delta_from(&self, old: &Artifacts) -> Result<BasisDelta, linalg::DenseError> {
-        let mass = &self.prepared.mass;
-        let weighted = mass.multiply(self.basis());
-        let inside = linalg::gram(old.basis(), weighted.as_ref());
-        let mut outside = self.basis().to_owned();
-        linalg::add_product(outside.as_mut(), -1.0, old.basis(), inside.as_ref());
-        let gram = mass.inner(outside.as_ref(), outside.as_ref());
-        let (values, vectors) = linalg::symmetric_eigen(gram.as_ref())?;
-        let first = values.partition_point(|&v| v <= 1e-14);
-        let directions = vectors.subcols(first, values.len() - first);
-        let mut columns = linalg::product(outside.as_ref(), directions);
-        for (j, value) in values[first..].iter().enumerate() {
-            columns.col_as_slice_mut(j).iter_mut().for_each(|x| *x /= value.sqrt());
-        }
-        let rest = linalg::gram(columns.as_ref(), weighted.as_ref());
-        let mut w = rows(&inside);
-        w.extend(rows(&rest));
-        Ok(BasisDelta {
-            columns: (0..columns.ncols())
-                .map(|j| self.prepared.model.expand(columns.col_as_slice(j)))
-                .collect(),
-            w,
-        })
-    }
-
     /// The reduced model, for evaluation and simulation.
     pub fn model(&self) -> &Arc<ReducedModel> {
         &self.model
@@ -409,6 +371,6 @@ impl Artifacts {
 }
 
 /// A matrix by rows.
-fn rows(m: &Mat<f64>) -> Vec<f64> {
+pub(super) fn rows(m: &Mat<f64>) -> Vec<f64> {
     (0..m.nrows()).flat_map(|i| (0..m.ncols()).map(move |j| m[(i, j)])).collect()
 }

@@ -2,6 +2,7 @@
 //! [`prepare_seams`] makes those edits cheap that can be foreseen.
 
 mod artifacts;
+mod base;
 mod certificate;
 mod derive;
 mod finish;
@@ -9,22 +10,24 @@ mod params;
 mod seams;
 mod span;
 mod spectrum;
+mod transfer;
 mod update;
 
 pub use crate::assembly::mass::MassKind;
 pub use crate::basis::PcaMethod;
 pub use crate::cubature::Selection;
 pub use crate::reduced::RayleighDamping;
-pub use artifacts::{Artifacts, BasisDelta, CubatureReport, CubatureSource};
+pub use artifacts::{Artifacts, CubatureReport, CubatureSource};
 pub use certificate::{Certificate, Verdict};
 pub use params::{BuildError, BuildParams, CubatureParams, Method, RebuildParams};
 pub use seams::{check_seams, prepare_seams};
+pub use transfer::BasisDelta;
 
 use crate::assembly::FullModel;
 use crate::assembly::sparse::Pattern;
 use crate::control::{self, Cancelled, Control, Stage};
 use crate::dictionary::Block;
-use crate::edit::{Edit, EditState, StitchId};
+use crate::edit::{BaseState, Edit, EditState, StitchId};
 use crate::factorization::SymbolicCholesky;
 use crate::mesh::TetMesh;
 use crate::modes::load_cases::LoadCases;
@@ -32,11 +35,11 @@ use crate::modes::seams::{BaseModes, Seams};
 use crate::modes::stitched::{StitchMatrix, StitchedStiffness};
 use crate::modes::{AuditedSpectrum, LinearModes, rigid};
 use artifacts::Prepared;
+use base::base_for;
 use derive::{Body, new_derivatives};
 use finish::{Draft, finish};
 use span::{DerivativeSet, Span};
 use spectrum::{Spectrum, lowest_spectrum};
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -96,7 +99,9 @@ pub fn build(
             "{count} vertices belong to no tet and never move (the first is {first})"
         ));
     }
-    let (prepared, derivatives) = prepare(mesh, params, &BTreeMap::new(), &mut clock)?;
+    let state = EditState::new(mesh, &params.fixed_vertices);
+    params::check_seams(state.base(), &params.seams)?;
+    let (prepared, derivatives) = prepare(state.base(), params, &mut clock)?;
     let spectrum = prepared.spectrum.lowest(params.n_modes);
     let found = spectrum.eigenvalues.len();
     if found < params.n_modes {
@@ -106,7 +111,7 @@ pub fn build(
         ));
     }
     let draft = Draft {
-        state: EditState::default(),
+        state,
         n_rigid_modes: prepared.rigid().ncols(),
         weighing: spectrum.eigenvalues.clone(),
         derivative_residual: derivatives.residual,
@@ -121,20 +126,18 @@ pub fn build(
     finish(draft, clock)
 }
 
-/// The base body with domains `stiffness_factors` times as stiff as `params` has them, and its
-/// derivatives.
+/// The base body of `state`, and its derivatives.
 fn prepare(
-    mesh: Arc<TetMesh>,
+    state: &BaseState,
     params: &BuildParams,
-    stiffness_factors: &BTreeMap<i64, f64>,
     clock: &mut StageClock<'_>,
 ) -> Result<(Arc<Prepared>, DerivativeSet), BuildError> {
-    let materials = params::scaled_materials(&mesh, params, stiffness_factors)?;
-    let model = FullModel::new(mesh, &materials, &params.fixed_vertices);
+    let materials = params::scaled_materials(state, params)?;
+    let fixed: Vec<u32> = state.fixed_vertices().iter().copied().collect();
+    let model = FullModel::new(state.mesh().clone(), &materials, &fixed);
     if model.n() == 0 {
         return Err(BuildError::NothingFree);
     }
-    params::check_seams(&model, &params.seams)?;
     let pattern = Arc::new(model.pattern(&[]));
     let (symbolic, (mass, stiffness, rigid)) = rayon::join(
         || analyse(&pattern, &model),
@@ -181,7 +184,7 @@ fn prepare(
     let x = [Block::new(rigid), Block::new(modes.shapes)];
     let prepared = Arc::new(Prepared::new(
         params.clone(),
-        stiffness_factors.clone(),
+        state.clone(),
         model,
         mass,
         stiffness,
@@ -215,12 +218,10 @@ pub fn rebuild(
     control: &dyn Control,
 ) -> Result<(Artifacts, Vec<StitchId>), BuildError> {
     params::check_fraction("tolerance", params.tolerance)?;
-    let model = &previous.prepared.model;
-    let (state, ids) =
-        previous.state.apply(edits, model.mesh(), |v| model.free_index(v).is_none())?;
+    let (state, ids) = previous.state.apply(edits)?;
     let mut clock = StageClock::start(control);
     clock.deadline = params.deadline.map(|time| clock.last + time);
-    let base = base_for(previous, &state, &mut clock)?;
+    let (base, earlier) = base_for(previous, state.base(), &mut clock)?;
     let reuse = previous.cubature.map(|_| (previous.rule.clone(), previous.trained_error));
     let draft = match params.method {
         Method::FromScratch => from_scratch(base, state, &mut clock)?,
@@ -229,22 +230,9 @@ pub fn rebuild(
         }
         Method::LowRank => update::by_low_rank(base, state, reuse, &mut clock)?,
     };
-    Ok((finish(draft, clock)?, ids))
-}
-
-/// The base body that `state` is an update of: the previous one, or, where a domain's stiffness has
-/// changed (a change of full rank, for which nothing prepared is left), a new one.
-fn base_for(
-    previous: &Artifacts,
-    state: &EditState,
-    clock: &mut StageClock<'_>,
-) -> Result<Arc<Prepared>, BuildError> {
-    let prepared = &previous.prepared;
-    if prepared.stiffness_factors == *state.stiffness_factors() {
-        return Ok(prepared.clone());
-    }
-    let mesh = prepared.model.mesh().clone();
-    Ok(prepare(mesh, &prepared.params, state.stiffness_factors(), clock)?.0)
+    let mut made = finish(draft, clock)?;
+    made.earlier = earlier;
+    Ok((made, ids))
 }
 
 /// Everything up to the derivatives, from a factorization of the stitched stiffness itself.

@@ -5,14 +5,13 @@ use crate::assembly::mass::MassKind;
 use crate::basis::PcaMethod;
 use crate::control::Cancelled;
 use crate::cubature::{Selection, TrainingError};
-use crate::edit::{self, EditError};
+use crate::edit::{self, BaseState, EditError, EditKind};
 use crate::factorization::FactorizationError;
 use crate::linalg::DenseError;
 use crate::material::Material;
 use crate::mesh::TetMesh;
 use crate::modes::ModesError;
 use crate::reduced::RayleighDamping;
-use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// Cubature training (\[M16\] §4.3).
@@ -202,12 +201,12 @@ pub(super) fn check(mesh: &TetMesh, params: &BuildParams) -> Result<(), BuildErr
 
 /// The materials of `params` with the domains that have a factor as much stiffer.
 pub(super) fn scaled_materials(
-    mesh: &TetMesh,
+    state: &BaseState,
     params: &BuildParams,
-    stiffness_factors: &BTreeMap<i64, f64>,
 ) -> Result<Vec<Material>, BuildError> {
-    let scaled = mesh.domains().iter().zip(&params.materials).map(|(domain, material)| {
-        match stiffness_factors.get(domain) {
+    let domains = state.mesh().domains();
+    let scaled = domains.iter().zip(&params.materials).map(|(domain, material)| {
+        match state.stiffness_factors().get(domain) {
             None => Ok(*material),
             Some(factor) => material.scaled(*factor).map_err(|_| BuildError::BadParameter {
                 name: "young_modulus_pa",
@@ -229,11 +228,10 @@ pub(super) fn check_fraction(name: &'static str, value: f64) -> Result<(), Build
 }
 
 /// Checks the seams' pairs like an edit's.
-pub(super) fn check_seams(model: &FullModel, pairs: &[[u32; 2]]) -> Result<(), BuildError> {
-    let mesh = model.mesh();
-    let allowed_m = edit::COINCIDENCE_RATIO * mesh.diagonal();
+pub(super) fn check_seams(state: &BaseState, pairs: &[[u32; 2]]) -> Result<(), BuildError> {
+    let allowed_m = edit::COINCIDENCE_RATIO * state.mesh().diagonal();
     for (position, &pair) in pairs.iter().enumerate() {
-        edit::check_pair(0, position, pair, mesh, allowed_m, &|v| model.free_index(v).is_none())
+        edit::check_pair(0, EditKind::Stitch, position, pair, state, allowed_m)
             .map_err(BuildError::Seam)?;
     }
     Ok(())

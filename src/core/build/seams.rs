@@ -46,7 +46,7 @@ pub fn prepare_seams(
 
 /// Refuses pairs that no stitch could join.
 pub fn check_seams(body: &Artifacts, pairs: &[[u32; 2]]) -> Result<(), BuildError> {
-    params::check_seams(&body.prepared.model, pairs)
+    params::check_seams(&body.prepared.state, pairs)
 }
 
 /// These seams and `pairs`.

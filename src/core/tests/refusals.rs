@@ -116,10 +116,10 @@ fn edits_are_checked_and_a_refused_one_changes_nothing() {
     let [a, b] = bar.pairs[5];
     assert!(matches!(
         pairs([a, 99_999]),
-        EditError::VertexOutOfRange { edit: 0, pair: 1, vertex: 99_999, .. }
+        EditError::VertexOutOfRange { edit: 0, position: 1, vertex: 99_999, .. }
     ));
     assert!(
-        matches!(pairs([0, unused]), EditError::UnusedVertex { pair: 1, vertex, .. } if vertex == unused)
+        matches!(pairs([0, unused]), EditError::UnusedVertex { position: 1, vertex, .. } if vertex == unused)
     );
     assert!(matches!(pairs([a, a]), EditError::SameVertex { pair: 1, .. }));
     assert!(matches!(pairs([a, b + 1]), EditError::Apart { pair: 1, .. }));

@@ -11,5 +11,6 @@ mod reduced;
 mod references;
 mod refusals;
 mod seams;
+mod supports;
 mod updates;
 mod vega;

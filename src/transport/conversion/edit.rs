@@ -32,6 +32,8 @@ fn edit(edit: wire::Edit) -> Edit {
             Edit::SetStiffness { stitch_ids, stiffness_n_m }
         }
         wire::Edit::ScaleStiffness { domain, factor } => Edit::ScaleStiffness { domain, factor },
+        wire::Edit::Fix { vertices } => Edit::Fix { vertices },
+        wire::Edit::Release { vertices } => Edit::Release { vertices },
     }
 }
 
@@ -162,6 +164,8 @@ mod tests {
             wire::Edit::UnstitchAll {},
             wire::Edit::SetStiffness { stitch_ids: vec![8], stiffness_n_m: 20.0 },
             wire::Edit::ScaleStiffness { domain: 2, factor: 100.0 },
+            wire::Edit::Fix { vertices: vec![5, 6] },
+            wire::Edit::Release { vertices: vec![5] },
         ]);
         wire_request.base_generation = Some(4);
         wire_request.restore = Some(2);
@@ -182,6 +186,8 @@ mod tests {
                     Edit::UnstitchAll,
                     Edit::SetStiffness { stitch_ids: vec![8], stiffness_n_m: 20.0 },
                     Edit::ScaleStiffness { domain: 2, factor: 100.0 },
+                    Edit::Fix { vertices: vec![5, 6] },
+                    Edit::Release { vertices: vec![5] },
                 ],
             }
         );

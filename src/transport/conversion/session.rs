@@ -52,9 +52,10 @@ pub(crate) fn create(upload: Upload, limits: &MeshLimits) -> Result<CreateSessio
             return Err(Problem::new(Kind::MalformedDocument, detail).at("/mesh"));
         }
     };
+    let mesh = Arc::new(mesh);
     let params = build_params(&config, &mesh, &materials)?;
     let name = config.name.unwrap_or_else(|| UNNAMED.to_owned());
-    Ok(CreateSession { name, mesh: Arc::new(mesh), params })
+    Ok(CreateSession { name, mesh, params })
 }
 
 fn inline_mesh(mesh: MeshConfig, limits: &MeshLimits) -> Result<MeshFile, Problem> {
@@ -87,7 +88,7 @@ fn read_file(file: &UploadedFile, limits: &MeshLimits) -> Result<MeshFile, Probl
 /// domains that the configuration says nothing about.
 fn build_params(
     config: &SessionConfig,
-    mesh: &TetMesh,
+    mesh: &Arc<TetMesh>,
     file_materials: &BTreeMap<i64, Material>,
 ) -> Result<BuildParams, Problem> {
     let impossible = |detail: String| Problem::new(Kind::ImpossibleConfiguration, detail);
@@ -139,15 +140,14 @@ fn build_params(
 
 /// Refuses candidate pairs that could never be stitched: here, because the build would find out
 /// only after this request has been answered.
-fn check_seams(config: &SessionConfig, mesh: &TetMesh) -> Result<(), Problem> {
-    let fixed: BTreeSet<u32> = config.fixed_vertices.iter().copied().collect();
+fn check_seams(config: &SessionConfig, mesh: &Arc<TetMesh>) -> Result<(), Problem> {
     // A pair named twice is prepared once.
     let mut seen = BTreeSet::new();
     let is_new = |(_, [a, b]): &(usize, [u32; 2])| seen.insert([*a.min(b), *a.max(b)]);
     let (positions, pairs): (Vec<usize>, Vec<[u32; 2]>) =
         config.seams.iter().copied().enumerate().filter(is_new).unzip();
     let stitch = Edit::Stitch { pairs, stiffness_n_m: 1.0 };
-    match EditState::default().apply(&[stitch], mesh, |vertex| fixed.contains(&vertex)) {
+    match EditState::new(mesh.clone(), &config.fixed_vertices).apply(&[stitch]) {
         Ok(_) => Ok(()),
         Err(error) => Err(problem::of_seam(&error, &positions)),
     }
@@ -197,7 +197,7 @@ pub(crate) fn info(info: &SessionInfo) -> wire::SessionInfo {
         memory_bytes: artifacts.map_or(0, |a| a.memory_bytes() as u64),
         timings_ms: artifacts.map(|a| stage_milliseconds(a.timings())).unwrap_or_default(),
         warnings: artifacts.map(|a| a.warnings().to_vec()).unwrap_or_default(),
-        parameters: artifacts.map(|a| parameters(a.params(), mesh)),
+        parameters: artifacts.map(|a| parameters(a.params(), a.fixed_vertices().len(), mesh)),
         error: info.error.as_deref().map(|error| problem::of_build(error).to_document()),
     }
 }
@@ -212,7 +212,11 @@ pub(crate) fn state(state: SessionState) -> wire::SessionState {
     }
 }
 
-fn parameters(params: &BuildParams, mesh: &TetMesh) -> wire::SessionParameters {
+fn parameters(
+    params: &BuildParams,
+    n_fixed_vertices: usize,
+    mesh: &TetMesh,
+) -> wire::SessionParameters {
     let material = |material: &Material| MaterialConfig {
         law: MaterialLaw::Stvk,
         young_modulus_pa: material.young_modulus_pa(),
@@ -226,7 +230,7 @@ fn parameters(params: &BuildParams, mesh: &TetMesh) -> wire::SessionParameters {
             .copied()
             .zip(params.materials.iter().map(material))
             .collect(),
-        n_fixed_vertices: params.fixed_vertices.len(),
+        n_fixed_vertices,
         mass: match params.mass {
             MassKind::Lumped => MassConfig::Lumped,
             MassKind::Consistent => MassConfig::Consistent,
@@ -279,7 +283,7 @@ mod tests {
         let request = created(&config(|_| {}), None).unwrap();
         assert_eq!(request.params.n_modes, 30);
         assert_eq!(request.params.mass, MassKind::Lumped);
-        let shown = parameters(&request.params, &request.mesh);
+        let shown = parameters(&request.params, 0, &request.mesh);
         assert_eq!(shown.basis, BasisConfig::default());
         assert_eq!(shown.cubature, Some(CubatureConfig::default()));
         assert_eq!(shown.damping, DampingConfig::default());
