@@ -105,6 +105,26 @@ pub enum Edit {
         /// The vertices, each of them held (zero-based).
         vertices: Vec<u32>,
     },
+    /// Pull pairs of vertices together that do not coincide, and stitch them.
+    ///
+    /// The whole body, with its nonlinear material, is brought into static equilibrium under springs
+    /// between the vertices of each pair (and of every stitch in force, so that what was closed stays
+    /// so), which grow as stiff as it takes. The shape in which the pairs meet becomes the rest shape
+    /// of the body, prepared anew: fetch `positions` and `mass`. It counts as free of stress; the
+    /// strain energy that is dropped so is reported. Displacements (of a running simulation, too) count
+    /// from the new rest shape. Seams and other vertices that coincided may no longer do so. A gap that
+    /// remains too wide, because of supports or because tets would be crushed, is a 422 that names it,
+    /// and nothing is changed.
+    Close {
+        /// Vertex pairs (zero-based).
+        pairs: Vec<[u32; 2]>,
+        /// Stiffness in N/m of each stitch, once its pair is closed.
+        stiffness_n_m: f64,
+        /// The widest gap accepted, in m: pairs that come as near are moved the rest of the way. Default:
+        /// 1e-4 of the diagonal of the body's bounding box, about a hundredth of a tet's edge.
+        #[serde(default)]
+        max_gap_m: Option<f64>,
+    },
 }
 
 impl EditRequest {
@@ -161,6 +181,16 @@ impl EditRequest {
                     let pointer = format!("/edits/{i}/release/vertices");
                     length_within(&pointer, vertices.len(), MAX_VERTICES)?;
                 }
+                Edit::Close { pairs, stiffness_n_m, max_gap_m } => {
+                    let pointer = format!("/edits/{i}/close");
+                    length_within(&format!("{pointer}/pairs"), pairs.len(), MAX_PAIRS)?;
+                    let stiffness = format!("{pointer}/stiffness_n_m");
+                    within(&stiffness, *stiffness_n_m, f64::MIN_POSITIVE, f64::MAX)?;
+                    if let Some(gap) = max_gap_m {
+                        let pointer = format!("{pointer}/max_gap_m");
+                        within(&pointer, *gap, f64::MIN_POSITIVE, f64::MAX)?;
+                    }
+                }
                 Edit::ScaleStiffness { factor, .. } => {
                     within(&format!("/edits/{i}/scale_stiffness/factor"), *factor, 1e-9, 1e9)?;
                 }
@@ -187,6 +217,8 @@ pub struct EditReply {
     pub method: EditMethod,
     /// Names of the stitches made, in the order of the request's pairs.
     pub stitch_ids: Vec<u64>,
+    /// What each closing did, in the order of the request.
+    pub closings: Vec<Closing>,
     /// Stitches in force.
     pub n_stitches: usize,
     /// Rigid motions that cost no energy, with the stitches in force.
@@ -240,9 +272,26 @@ pub struct Certificate {
     pub is_unfinished: bool,
 }
 
+/// What a closing ([`Edit::Close`]) did.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Closing {
+    /// The edit's place in its request.
+    pub edit: usize,
+    /// For each of its pairs the gap in m that the springs left; the pair was moved the rest of the way.
+    pub gaps_m: Vec<f64>,
+    /// Strain energy of the closed shape in J, which is dropped: that shape counts as free of stress.
+    pub dropped_energy_j: f64,
+    /// The largest displacement of a vertex in m.
+    pub largest_displacement_m: f64,
+    /// Imbalance of the forces at the end, relative to those that pulled.
+    pub residual: f64,
+}
+
 /// Time spent in an edit, in ms.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct EditTimings {
+    /// Closing of pairs that did not coincide.
+    pub closing: f64,
     /// Linear modes, with the factorization and seam columns where those were redone.
     pub linear: f64,
     /// Modal derivatives.

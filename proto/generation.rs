@@ -5,6 +5,7 @@
 //! |---|---|---|
 //! | `modes` | [`MODES`] | (n_modes, n_vertices, 3) |
 //! | `basis` | [`BASIS`] | (r, n_vertices, 3) |
+//! | `positions` | [`POSITIONS`] | (n_vertices, 3) |
 //! | `mass` | [`MASS`] | (n_vertices) |
 //! | `transfer` | [`TRANSFER`] | (r, r of `from`) |
 //! | `delta` | [`DELTA_COLUMNS`] | (c, n_vertices, 3) |
@@ -35,6 +36,8 @@ pub const PARAMETER_GENERATION: &str = "generation";
 pub const MODES: &str = "modes";
 /// Columns of the basis, UᵀMU = I.
 pub const BASIS: &str = "basis";
+/// Rest positions in m: those of the session's mesh, until a closing moves them.
+pub const POSITIONS: &str = "positions";
 /// Lumped masses in kg.
 pub const MASS: &str = "mass";
 /// q_new = transfer · q_old.

@@ -29,6 +29,8 @@ pub enum Resource {
     Evaluator,
     /// Queryable: lumped masses.
     Mass,
+    /// Queryable: rest positions.
+    Positions,
     /// Publication: [`crate::state::StateFrame`].
     State,
     /// Publication: [`crate::event::GenerationInfo`].
@@ -49,6 +51,7 @@ impl Resource {
         Resource::Delta,
         Resource::Evaluator,
         Resource::Mass,
+        Resource::Positions,
         Resource::State,
         Resource::Generation,
         Resource::Forces,
@@ -66,6 +69,7 @@ impl Resource {
             Resource::Delta => "delta",
             Resource::Evaluator => "evaluator",
             Resource::Mass => "mass",
+            Resource::Positions => "positions",
             Resource::State => "state",
             Resource::Generation => "generation",
             Resource::Forces => "forces",

@@ -10,7 +10,7 @@ use std::time::Duration;
 use sutura_client::proto::edit::{Edit, EditMethod, EditRequest, Verdict};
 use sutura_client::proto::event::Event;
 use sutura_client::proto::session::{SessionConfig, SessionState};
-use sutura_client::{Arrays, Error, Tracker};
+use sutura_client::{Arrays, Error, Generation, Tracker};
 
 /// Largest relative difference of corresponding numbers.
 fn difference(a: &[f64], b: &[f64]) -> f64 {
@@ -156,6 +156,58 @@ async fn vertices_are_fixed_and_released_over_http_and_over_zenoh() {
     all.extend(config().fixed_vertices);
     let floating = EditRequest::new(vec![Edit::Release { vertices: all }]);
     assert_eq!(session.edit(&floating).await.unwrap().n_rigid_modes, 12);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_gap_is_closed_and_the_body_is_as_one_built_closed() {
+    let daemon = Daemon::start();
+    let closed = ready_bar(&daemon).await;
+    let truth = closed.edit(&stitch(&seam())).await.unwrap();
+
+    let mut open = bar();
+    for [x, y, _] in &mut open.vertices[N_HALF as usize..] {
+        *x += 0.01;
+        *y += 0.002;
+    }
+    let config = SessionConfig { mesh: Some(open.clone()), ..config() };
+    let session = daemon.client().await.create(&config).await.unwrap();
+    session.wait_ready(|_| {}).await.unwrap();
+    let close = |pairs: Vec<[u32; 2]>| {
+        let edit = Edit::Close { pairs, stiffness_n_m: STIFFNESS_N_M, max_gap_m: None };
+        EditRequest::new(vec![edit])
+    };
+    // The held end cannot be closed upon itself: nothing changes, and the gap is named.
+    let held = session.edit(&close(vec![[0, 5]])).await.unwrap_err();
+    assert_eq!(held.status(), Some(422), "{held}");
+    assert!(held.to_string().contains("2.5e-2 m"), "{held}");
+
+    let bus = daemon.zenoh_client().await.session(session.id()).unwrap();
+    let reply = bus.edit(&close(seam())).await.unwrap();
+    assert_eq!((reply.generation, reply.n_stitches, reply.n_rigid_modes), (1, 9, 0));
+    let [closing] = &reply.closings[..] else { panic!("{:?}", reply.closings) };
+    assert_eq!((closing.edit, closing.gaps_m.len()), (0, 9));
+    assert!(closing.gaps_m.iter().all(|gap| *gap < 1e-9), "{closing:?}");
+    assert!(closing.dropped_energy_j < 1e-9, "{closing:?}");
+    assert!((closing.largest_displacement_m - 0.01f64.hypot(0.002)).abs() < 1e-6, "{closing:?}");
+    assert!(reply.warnings.iter().any(|warning| warning.contains("stress")), "{reply:?}");
+    let half = truth.frequencies_hz.len() / 2;
+    let error = difference(&reply.frequencies_hz[..half], &truth.frequencies_hz[..half]);
+    assert!(error < 1e-4, "{error:e}");
+
+    // Where the vertices rest now, and where they rested.
+    let expected = bar().vertices;
+    let over_http = session.positions::<f64>(1.into()).await.unwrap();
+    assert_eq!(over_http, bus.positions::<f64>(1.into()).await.unwrap());
+    assert_eq!(over_http.shape, [expected.len(), 3]);
+    for (found, expected) in over_http.data.iter().zip(expected.as_flattened()) {
+        assert!((found - expected).abs() < 1e-7, "{found} and {expected}");
+    }
+    session.edit(&EditRequest::restore(0)).await.unwrap();
+    let restored = session.positions::<f64>(Generation::Current).await.unwrap();
+    // To the last digit but one: decimal numbers in between.
+    for (found, expected) in restored.data.iter().zip(open.vertices.as_flattened()) {
+        assert!((found - expected).abs() < 1e-15, "{found} and {expected}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

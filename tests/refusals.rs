@@ -247,6 +247,20 @@ async fn bad_edits() {
             "/edits/0/release/vertices/1",
         ),
         (
+            "vertices closed that are held apart",
+            "/edits/0",
+            json!({"close": {"pairs": [[0, 5]], "stiffness_n_m": 1e5}}),
+            422,
+            "/edits/0/close/pairs/0",
+        ),
+        (
+            "a vertex closed onto itself",
+            "/edits/0",
+            json!({"close": {"pairs": [[TIP, 0], [TIP, TIP]], "stiffness_n_m": 1e5}}),
+            422,
+            "/edits/0/close/pairs/1",
+        ),
+        (
             "everything fixed",
             "/edits/0",
             json!({"fix": {"vertices": free_vertices()}}),

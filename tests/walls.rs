@@ -15,13 +15,14 @@ const MAX_LINES: usize = 700;
 const VAGUE_NAMES: [&str; 7] = ["common", "helper", "helpers", "misc", "types", "util", "utils"];
 
 /// The core's stages in the order of the data flow: each imports only those to its left.
-const STAGES: [&str; 11] = [
+const STAGES: [&str; 12] = [
     "material",
     "mesh",
     "edit",
     "assembly",
     "factorization",
     "modes",
+    "closing",
     "derivatives",
     "basis",
     "cubature",

@@ -110,6 +110,17 @@ pub trait Arrays: Sync {
         }
     }
 
+    /// Rest position of every vertex in m, (n_vertices, 3). A closing moves them.
+    fn positions<T: Scalar>(
+        &self,
+        generation: Generation,
+    ) -> impl Future<Output = Result<Array<T>>> + Send {
+        async move {
+            let bytes = self.frame(query::<T>(Resource::Positions, generation, None)).await?;
+            take(&mut Frame::decode(&bytes)?, POSITIONS, [None, Some(3)])
+        }
+    }
+
     /// The basis.
     fn basis<T: Scalar>(
         &self,

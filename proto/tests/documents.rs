@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use sutura_proto::edit::{Certificate, EditTimings, MAX_PAIRS, Verdict};
+use sutura_proto::edit::{Certificate, Closing, EditTimings, MAX_PAIRS, Verdict};
 use sutura_proto::edit::{CubatureInfo, CubatureSource, Edit, EditMethod, EditReply, EditRequest};
 use sutura_proto::evaluate::{Coordinates, EvaluateReply, EvaluateRequest, Evaluation, MAX_BATCH};
 use sutura_proto::event::{Event, GenerationInfo};
@@ -39,7 +39,9 @@ fn example_edits() -> Value {
                  {"set_stiffness": {"stitch_ids": [5], "stiffness_n_m": 2e5}},
                  {"unstitch_all": {}},
                  {"fix": {"vertices": [7, 8]}},
-                 {"release": {"vertices": [7]}} ] })
+                 {"release": {"vertices": [7]}},
+                 {"close": {"pairs": [[1, 9]], "stiffness_n_m": 1e5}},
+                 {"close": {"pairs": [[2, 8]], "stiffness_n_m": 1e5, "max_gap_m": 1e-3}} ] })
 }
 
 fn edit_reply() -> EditReply {
@@ -47,6 +49,13 @@ fn edit_reply() -> EditReply {
         generation: 1,
         method: EditMethod::LowRank,
         stitch_ids: vec![5, 6],
+        closings: vec![Closing {
+            edit: 0,
+            gaps_m: vec![1e-10, 2e-10],
+            dropped_energy_j: 3e-4,
+            largest_displacement_m: 0.01,
+            residual: 1e-9,
+        }],
         n_stitches: 2,
         n_rigid_modes: 0,
         eigenvalues_per_s2: vec![1.5, 2.5],
@@ -121,6 +130,7 @@ fn unknown_members_are_refused_by_name() {
         "unstitch_all",
         "fix",
         "release",
+        "close",
     ];
     let edits = edits.iter().enumerate().map(|(i, edit)| format!("/edits/{i}/{edit}"));
     for at in edits.chain([String::new()]) {
@@ -225,6 +235,9 @@ fn impossible_edits_are_located() {
     refused("/edits/3/set_stiffness/stiffness_n_m", json!(0));
     refused("/edits/5/fix/vertices", json!([]));
     refused("/edits/6/release/vertices", json!([]));
+    refused("/edits/7/close/pairs", json!([]));
+    refused("/edits/7/close/stiffness_n_m", json!(0));
+    refused("/edits/8/close/max_gap_m", json!(-1));
     let mut request: EditRequest = parse(example_edits()).unwrap();
     request.tolerance = f64::NAN;
     assert_eq!(pointer(request.validate()), "/tolerance");

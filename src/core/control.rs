@@ -6,6 +6,8 @@ use std::time::Duration;
 /// The stages of a build, in the order of the data flow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Stage {
+    /// Pulling together pairs of vertices that do not coincide.
+    Closing,
     /// Mass and rest stiffness matrices; beside them the fill-reducing ordering of their graph.
     Assembly,
     /// Sparse Cholesky factorization of the shifted stiffness matrix.
@@ -26,7 +28,8 @@ pub enum Stage {
 
 impl Stage {
     /// Every stage, in order.
-    pub const ALL: [Stage; 8] = [
+    pub const ALL: [Stage; 9] = [
+        Stage::Closing,
         Stage::Assembly,
         Stage::Factorization,
         Stage::Modes,
@@ -40,6 +43,7 @@ impl Stage {
     /// Lower-case name, as it appears in progress reports.
     pub fn name(self) -> &'static str {
         match self {
+            Stage::Closing => "closing",
             Stage::Assembly => "assembly",
             Stage::Factorization => "factorization",
             Stage::Modes => "modes",

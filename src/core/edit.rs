@@ -1,6 +1,6 @@
 //! Edits: the only way a body changes after it was built.
 
-use crate::mesh::{NO_COMPONENT, TetMesh};
+use crate::mesh::{MeshError, NO_COMPONENT, TetMesh};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -61,6 +61,17 @@ pub enum Edit {
         /// The vertices, each of them held (zero-based).
         vertices: Vec<u32>,
     },
+    /// Pull pairs of vertices together that do not coincide, and stitch them.
+    Close {
+        /// Vertex pairs (zero-based).
+        pairs: Vec<[u32; 2]>,
+        /// Stiffness in N/m of each stitch, once its pair is closed. The springs that pull are as
+        /// stiff as it takes.
+        stiffness_n_m: f64,
+        /// The widest gap accepted, in m: pairs that come as near are moved the rest of the way. Default:
+        /// [`CLOSED_RATIO`] of the body's diagonal.
+        max_gap_m: Option<f64>,
+    },
 }
 
 /// Why an edit is impossible, and which entry of the request is at fault.
@@ -85,6 +96,26 @@ pub enum EditError {
     NotFixed { edit: usize, position: usize, vertex: u32 },
     #[error("edit {edit} leaves no vertex that could move")]
     NothingFree { edit: usize },
+    #[error("edit {edit}: max_gap_m must be positive and finite, not {max_gap_m}")]
+    MaxGap { edit: usize, max_gap_m: f64 },
+    #[error(
+        "edit {edit}, pair {pair}: vertices {a} and {b} could not be pulled together, a gap of {gap_m:e} m remains (at most {allowed_m:e} m): {reason}"
+    )]
+    NotClosed {
+        edit: usize,
+        pair: usize,
+        a: u32,
+        b: u32,
+        gap_m: f64,
+        allowed_m: f64,
+        reason: String,
+    },
+    #[error(
+        "edit {edit}: the closing would open stitch {id} by {gap_m:e} m (at most {allowed_m:e} m): {reason}"
+    )]
+    StitchOpens { edit: usize, id: StitchId, gap_m: f64, allowed_m: f64, reason: String },
+    #[error("edit {edit}: the closed shape is no valid mesh: {error}")]
+    ClosedShape { edit: usize, error: MeshError },
     #[error("edit {edit}, pair {pair}: a vertex cannot be stitched to itself ({vertex})")]
     SameVertex { edit: usize, kind: EditKind, pair: usize, vertex: u32 },
     #[error(
@@ -120,6 +151,7 @@ pub enum EditKind {
     ScaleStiffness,
     Fix,
     Release,
+    Close,
 }
 
 impl Edit {
@@ -133,6 +165,7 @@ impl Edit {
             Edit::ScaleStiffness { .. } => EditKind::ScaleStiffness,
             Edit::Fix { .. } => EditKind::Fix,
             Edit::Release { .. } => EditKind::Release,
+            Edit::Close { .. } => EditKind::Close,
         }
     }
 }
@@ -143,6 +176,12 @@ pub const STIFFNESS_RANGE_N_M: [f64; 2] = [1e-9, 1e12];
 
 /// Vertices closer than this fraction of the body's diagonal coincide.
 pub const COINCIDENCE_RATIO: f64 = 1e-9;
+
+/// Gap of a closing's pairs that is accepted if the request names no other, as a fraction of the body's
+/// diagonal: about a hundredth of an edge of the meshes that come, so that moving the two vertices
+/// the rest of the way distorts no tet. (Where nothing is in the way, gaps come out a hundred thousand
+/// times narrower.)
+pub const CLOSED_RATIO: f64 = 1e-4;
 
 /// Factors on a domain's stiffness accepted, all edits so far multiplied: beyond, the eigenvalues of a
 /// soft domain would come near the rounding of K's largest entries.
@@ -168,6 +207,17 @@ impl PartialEq for BaseState {
 }
 
 impl BaseState {
+    /// Whether both ends of a pair are held.
+    fn are_fixed(&self, pair: [u32; 2]) -> bool {
+        pair.iter().all(|v| self.fixed_vertices.contains(v))
+    }
+
+    /// Between two vertices that exist.
+    pub(crate) fn distance_m(&self, pair: [u32; 2]) -> f64 {
+        let [a, b] = pair.map(|v| nalgebra::Vector3::from(self.mesh.vertices()[v as usize]));
+        (a - b).norm()
+    }
+
     /// The mesh.
     pub fn mesh(&self) -> &Arc<TetMesh> {
         &self.mesh
@@ -215,8 +265,13 @@ impl EditState {
     }
 
     /// Applies `edits` in order and returns the new state with the names given to new stitches.
-    /// Nothing changes on error.
-    pub fn apply(&self, edits: &[Edit]) -> Result<(EditState, Vec<StitchId>), EditError> {
+    /// `close` computes the mesh in which the pairs of [`Edit::Close`], the edit with the given number,
+    /// and those of all stitches of the state coincide. Nothing changes on error.
+    pub fn apply<E: From<EditError>>(
+        &self,
+        edits: &[Edit],
+        mut close: impl FnMut(&EditState, usize, &[[u32; 2]], f64) -> Result<Arc<TetMesh>, E>,
+    ) -> Result<(EditState, Vec<StitchId>), E> {
         let mut new = self.clone();
         let mut ids = Vec::new();
         for (edit, change) in edits.iter().enumerate() {
@@ -246,7 +301,7 @@ impl EditState {
                     for (position, &vertex) in vertices.iter().enumerate() {
                         check_vertex(edit, kind, position, vertex, &self.base.mesh)?;
                         if !new.base.fixed_vertices.insert(vertex) {
-                            return Err(EditError::AlreadyFixed { edit, position, vertex });
+                            return Err(EditError::AlreadyFixed { edit, position, vertex }.into());
                         }
                     }
                 }
@@ -254,19 +309,62 @@ impl EditState {
                     for (position, &vertex) in vertices.iter().enumerate() {
                         check_vertex(edit, kind, position, vertex, &self.base.mesh)?;
                         if !new.base.fixed_vertices.remove(&vertex) {
-                            return Err(EditError::NotFixed { edit, position, vertex });
+                            return Err(EditError::NotFixed { edit, position, vertex }.into());
                         }
                     }
+                }
+                Edit::Close { pairs, stiffness_n_m, max_gap_m } => {
+                    let allowed_m = new.check_closing(edit, pairs, *stiffness_n_m, *max_gap_m)?;
+                    new.base.mesh = close(&new, edit, pairs, allowed_m)?;
+                    ids.extend(new.stitch(edit, kind, pairs, *stiffness_n_m)?);
                 }
             }
         }
         // Edits take effect together: what one fixes another may release.
         let last_fix = edits.iter().rposition(|change| change.kind() == EditKind::Fix);
         if let Some(edit) = last_fix.filter(|_| new.nothing_is_free()) {
-            return Err(EditError::NothingFree { edit });
+            return Err(EditError::NothingFree { edit }.into());
         }
         let ids = ids.into_iter().filter(|id| new.stitches.iter().any(|s| s.id == *id)).collect();
         Ok((new, ids))
+    }
+
+    /// Checks that `pairs` could be stitched to each other as they are.
+    pub fn check_pairs(&self, pairs: &[[u32; 2]]) -> Result<(), EditError> {
+        self.clone().stitch(0, EditKind::Stitch, pairs, 1.0).map(|_| ())
+    }
+
+    /// Checks all of a closing but whether the pairs meet; returns the widest gap accepted.
+    fn check_closing(
+        &self,
+        edit: usize,
+        pairs: &[[u32; 2]],
+        stiffness_n_m: f64,
+        max_gap_m: Option<f64>,
+    ) -> Result<f64, EditError> {
+        let kind = EditKind::Close;
+        check_stiffness(edit, kind, stiffness_n_m)?;
+        let allowed_m = max_gap_m.unwrap_or_else(|| CLOSED_RATIO * self.base.mesh.diagonal());
+        if !(allowed_m > 0.0 && allowed_m.is_finite()) {
+            return Err(EditError::MaxGap { edit, max_gap_m: allowed_m });
+        }
+        let mut taken: BTreeSet<[u32; 2]> = self.stitches.iter().map(|s| sorted(s.pair)).collect();
+        for (position, &pair) in pairs.iter().enumerate() {
+            let [a, b] = pair;
+            check_ends(edit, kind, position, pair, &self.base)?;
+            if self.base.are_fixed(pair) {
+                let (gap_m, pair) = (self.base.distance_m(pair), position);
+                let reason = "both are fixed".to_owned();
+                return Err(match gap_m > allowed_m {
+                    true => EditError::NotClosed { edit, pair, a, b, gap_m, allowed_m, reason },
+                    false => EditError::BothFixed { edit, kind, pair, a, b },
+                });
+            }
+            if !taken.insert(sorted(pair)) {
+                return Err(EditError::AlreadyStitched { edit, kind, pair: position, a, b });
+            }
+        }
+        Ok(allowed_m)
     }
 
     /// Makes stitches on `pairs` and returns their names.
@@ -368,23 +466,34 @@ pub(crate) fn check_pair(
     edit: usize,
     kind: EditKind,
     pair: usize,
-    [a, b]: [u32; 2],
+    ends: [u32; 2],
     base: &BaseState,
     allowed_m: f64,
+) -> Result<(), EditError> {
+    check_ends(edit, kind, pair, ends, base)?;
+    let ([a, b], distance_m) = (ends, base.distance_m(ends));
+    if distance_m > allowed_m {
+        return Err(EditError::Apart { edit, pair, a, b, distance_m, allowed_m });
+    }
+    if base.are_fixed(ends) {
+        return Err(EditError::BothFixed { edit, kind, pair, a, b });
+    }
+    Ok(())
+}
+
+/// Checks that the ends of a pair are two vertices of tets.
+fn check_ends(
+    edit: usize,
+    kind: EditKind,
+    pair: usize,
+    [a, b]: [u32; 2],
+    base: &BaseState,
 ) -> Result<(), EditError> {
     for vertex in [a, b] {
         check_vertex(edit, kind, pair, vertex, &base.mesh)?;
     }
     if a == b {
         return Err(EditError::SameVertex { edit, kind, pair, vertex: a });
-    }
-    let [xa, xb] = [a, b].map(|v| nalgebra::Vector3::from(base.mesh.vertices()[v as usize]));
-    let distance_m = (xa - xb).norm();
-    if distance_m > allowed_m {
-        return Err(EditError::Apart { edit, pair, a, b, distance_m, allowed_m });
-    }
-    if base.fixed_vertices.contains(&a) && base.fixed_vertices.contains(&b) {
-        return Err(EditError::BothFixed { edit, kind, pair, a, b });
     }
     Ok(())
 }

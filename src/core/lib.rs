@@ -10,6 +10,7 @@
 pub mod assembly;
 pub mod basis;
 pub mod build;
+pub mod closing;
 pub mod control;
 pub mod cubature;
 pub mod derivatives;

@@ -53,7 +53,7 @@ pub(crate) fn edit(request: &EditRequest, limits: &Limits) -> Result<(), StoreEr
     }
     for edit in &request.edits {
         match edit {
-            Edit::Stitch { pairs, .. } => {
+            Edit::Stitch { pairs, .. } | Edit::Close { pairs, .. } => {
                 at_most("stitches in one edit", limits.max_stitches, pairs.len())?;
             }
             Edit::UnstitchAll | Edit::ScaleStiffness { .. } => {}
@@ -75,7 +75,7 @@ pub(crate) fn n_stitches(
     limits: &Limits,
 ) -> Result<(), StoreError> {
     let after = edits.iter().fold(n_stitches, |n, edit| match edit {
-        Edit::Stitch { pairs, .. } => n + pairs.len(),
+        Edit::Stitch { pairs, .. } | Edit::Close { pairs, .. } => n + pairs.len(),
         Edit::Unstitch { stitch_ids } => n.saturating_sub(stitch_ids.len()),
         Edit::UnstitchAll => 0,
         Edit::SetStiffness { .. }

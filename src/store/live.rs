@@ -288,6 +288,8 @@ impl LiveSession {
         if inner.channels.is_none() {
             return (None, Leftovers::from([(number, generation)]));
         }
+        // A closing moves vertices; so does an undone one.
+        inner.mesh = generation.artifacts.mesh().clone();
         inner.generations.insert(number, generation);
         let oldest_kept = (number + 1).saturating_sub(self.surroundings.n_kept_generations as u64);
         let kept = inner.generations.split_off(&oldest_kept);

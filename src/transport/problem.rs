@@ -323,6 +323,11 @@ fn edit_pointer(error: &EditError) -> String {
         EditError::NotFixed { edit, position, .. } => {
             format!("/edits/{edit}/release/vertices/{position}")
         }
+        EditError::NotClosed { edit, pair, .. } => format!("/edits/{edit}/close/pairs/{pair}"),
+        EditError::MaxGap { edit, .. } => format!("/edits/{edit}/close/max_gap_m"),
+        EditError::StitchOpens { edit, .. } | EditError::ClosedShape { edit, .. } => {
+            format!("/edits/{edit}/close/pairs")
+        }
         EditError::NothingFree { edit } => format!("/edits/{edit}/fix/vertices"),
         EditError::Stiffness { edit, kind, .. } => {
             format!("/edits/{edit}/{}/stiffness_n_m", member(*kind))
@@ -349,6 +354,7 @@ fn member(kind: EditKind) -> &'static str {
         EditKind::ScaleStiffness => "scale_stiffness",
         EditKind::Fix => "fix",
         EditKind::Release => "release",
+        EditKind::Close => "close",
     }
 }
 

@@ -226,6 +226,7 @@ async fn arrays_and_evaluations_agree_in_every_form() {
     for (rest, shape) in [
         ("1/modes", vec![6, n_vertices, 3]),
         ("1/mass", vec![n_vertices]),
+        ("1/positions", vec![n_vertices, 3]),
         ("1/transfer", vec![r, r_old]),
         ("0/transfer?from=1", vec![r_old, r]),
     ] {

@@ -1,6 +1,7 @@
 //! One generation of a prepared body, and what can be asked of it.
 
 use super::certificate::{Certificate, Verdict};
+use super::close::ClosingReport;
 use super::params::BuildParams;
 use crate::assembly::FullModel;
 use crate::assembly::mass::Mass;
@@ -127,12 +128,21 @@ impl Prepared {
     }
 }
 
+impl Prepared {
+    /// The scale of the body's softest deformation, in 1/s².
+    pub(super) fn first_elastic_eigenvalue(&self) -> f64 {
+        self.spectrum.eigenvalues.iter().copied().find(|lambda| *lambda > 0.0).unwrap_or(1.0)
+    }
+}
+
 /// One generation of a prepared body. Immutable; shared by `Arc`.
 pub struct Artifacts {
     pub(super) prepared: Arc<Prepared>,
     /// Base bodies of generations before this one, the latest first.
     pub(super) earlier: Vec<Weak<Prepared>>,
     pub(super) state: EditState,
+    /// By the edits that made this generation.
+    pub(super) closings: Vec<ClosingReport>,
     pub(super) n_rigid_modes: usize,
     pub(super) spectrum: AuditedSpectrum,
     pub(super) verdict: Verdict,
@@ -162,7 +172,7 @@ impl std::fmt::Debug for Artifacts {
 }
 
 impl Artifacts {
-    /// The mesh.
+    /// The mesh. A closing ([`crate::edit::Edit::Close`]) moves vertices, no edit changes their number.
     pub fn mesh(&self) -> &Arc<TetMesh> {
         self.prepared.model.mesh()
     }
@@ -185,6 +195,10 @@ impl Artifacts {
     /// The vertices held, by the build or by edits.
     pub fn fixed_vertices(&self) -> &BTreeSet<u32> {
         self.state.base().fixed_vertices()
+    }
+    /// What the closings among the edits that made this generation did, in their order.
+    pub fn closings(&self) -> &[ClosingReport] {
+        &self.closings
     }
     /// Three times the number of vertices that may move.
     pub fn n_free_dofs(&self) -> usize {

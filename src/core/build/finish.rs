@@ -109,6 +109,7 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
     );
     clock.finish(Stage::Reduction)?;
     Ok(Artifacts {
+        closings: Vec::new(),
         earlier: Vec::new(),
         n_rigid_modes: draft.n_rigid_modes,
         verdict: draft.verdict,

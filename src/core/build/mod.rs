@@ -4,6 +4,7 @@
 mod artifacts;
 mod base;
 mod certificate;
+mod close;
 mod derive;
 mod finish;
 mod params;
@@ -19,6 +20,7 @@ pub use crate::cubature::Selection;
 pub use crate::reduced::RayleighDamping;
 pub use artifacts::{Artifacts, CubatureReport, CubatureSource};
 pub use certificate::{Certificate, Verdict};
+pub use close::{ClosedPair, ClosingReport};
 pub use params::{BuildError, BuildParams, CubatureParams, Method, RebuildParams};
 pub use seams::{check_seams, prepare_seams};
 pub use transfer::BasisDelta;
@@ -36,6 +38,7 @@ use crate::modes::stitched::{StitchMatrix, StitchedStiffness};
 use crate::modes::{AuditedSpectrum, LinearModes, rigid};
 use artifacts::Prepared;
 use base::base_for;
+use close::closed_shape;
 use derive::{Body, new_derivatives};
 use finish::{Draft, finish};
 use span::{DerivativeSet, Span};
@@ -218,9 +221,16 @@ pub fn rebuild(
     control: &dyn Control,
 ) -> Result<(Artifacts, Vec<StitchId>), BuildError> {
     params::check_fraction("tolerance", params.tolerance)?;
-    let (state, ids) = previous.state.apply(edits)?;
     let mut clock = StageClock::start(control);
     clock.deadline = params.deadline.map(|time| clock.last + time);
+    let mut closings = Vec::new();
+    let (state, ids) = previous.state.apply(edits, |state, edit, pairs, allowed_m| {
+        let (mesh, report) =
+            closed_shape(&previous.prepared, state, edit, pairs, allowed_m, clock.control)?;
+        closings.push(report);
+        clock.finish(Stage::Closing)?;
+        Ok::<_, BuildError>(mesh)
+    })?;
     let (base, earlier) = base_for(previous, state.base(), &mut clock)?;
     let reuse = previous.cubature.map(|_| (previous.rule.clone(), previous.trained_error));
     let draft = match params.method {
@@ -232,6 +242,8 @@ pub fn rebuild(
     };
     let mut made = finish(draft, clock)?;
     made.earlier = earlier;
+    made.warnings.extend(closings.iter().map(ClosingReport::warning));
+    made.closings = closings;
     Ok((made, ids))
 }
 

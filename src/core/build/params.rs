@@ -3,6 +3,7 @@
 use crate::assembly::FullModel;
 use crate::assembly::mass::MassKind;
 use crate::basis::PcaMethod;
+use crate::closing::ClosingError;
 use crate::control::Cancelled;
 use crate::cubature::{Selection, TrainingError};
 use crate::edit::{self, BaseState, EditError, EditKind};
@@ -143,6 +144,15 @@ impl From<ModesError> for BuildError {
         match error {
             ModesError::Cancelled(cancelled) => BuildError::Cancelled(cancelled),
             other => BuildError::NotConverged { what: "the modes", detail: other.to_string() },
+        }
+    }
+}
+
+impl From<ClosingError> for BuildError {
+    fn from(error: ClosingError) -> BuildError {
+        match error {
+            ClosingError::Cancelled(cancelled) => BuildError::Cancelled(cancelled),
+            other => BuildError::NotConverged { what: "the closing", detail: other.to_string() },
         }
     }
 }

@@ -216,6 +216,18 @@ fn a_build_and_a_rebuild_stop_wherever_they_are_asked_to() {
     stops_wherever_it_is_asked(|control| start(control).map(drop));
     let built = start(&Uncontrolled).unwrap();
     let edit = stitch(&bar.pairs, STITCH_N_M);
+    // The same incision, gaping.
+    let edit_closing =
+        [Edit::Close { pairs: vec![bar.pairs[1]], stiffness_n_m: STITCH_N_M, max_gap_m: None }];
+    let vertices = bar.mesh.vertices().iter().enumerate().map(|(v, x)| {
+        let is_moved = bar.pairs.iter().any(|pair| pair[1] as usize == v);
+        if is_moved { [x[0] + 0.004, x[1], x[2]] } else { *x }
+    });
+    let open = TetMesh::new(vertices.collect(), bar.mesh.tets().to_vec(), Vec::new()).unwrap();
+    let open = build::build(Arc::new(open), &params, &Uncontrolled).unwrap();
+    stops_wherever_it_is_asked(|control| {
+        build::rebuild(&open, &edit_closing, &by(Method::Flexibility), control).map(drop)
+    });
     for method in [Method::Flexibility, Method::LowRank, Method::FromScratch] {
         stops_wherever_it_is_asked(|control| {
             build::rebuild(&built, &edit, &by(method), control).map(drop)

@@ -32,6 +32,7 @@ const RESOURCES: [Resource; 9] = [
     Resource::Delta,
     Resource::Evaluator,
     Resource::Mass,
+    Resource::Positions,
 ];
 
 /// The queryables, and the places of the queries under way.
@@ -127,6 +128,7 @@ async fn answer(
         Resource::Delta => array(gateway, id, ArrayKind::Delta, query).await?,
         Resource::Evaluator => array(gateway, id, ArrayKind::Evaluator, query).await?,
         Resource::Mass => array(gateway, id, ArrayKind::Mass, query).await?,
+        Resource::Positions => array(gateway, id, ArrayKind::Positions, query).await?,
         Resource::State | Resource::Generation | Resource::Forces => {
             return Err(Problem::new(Kind::NoRoute, "this key is no queryable"));
         }

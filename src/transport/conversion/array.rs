@@ -19,6 +19,7 @@ pub(crate) enum ArrayKind {
     Delta,
     Evaluator,
     Mass,
+    Positions,
 }
 
 impl ArrayKind {
@@ -99,6 +100,10 @@ fn assemble(
         }
         ArrayKind::Basis => vec![columns(names::BASIS, r, &|i| artifacts.basis_column(i))?],
         ArrayKind::Mass => vec![array(names::MASS, &[n_vertices], &artifacts.lumped_mass_kg())?],
+        ArrayKind::Positions => {
+            let positions = artifacts.mesh().vertices().as_flattened();
+            vec![array(names::POSITIONS, &[n_vertices, 3], positions)?]
+        }
         ArrayKind::Transfer => {
             let old = old()?;
             let transfer = artifacts.transfer_from(old);
@@ -212,7 +217,13 @@ mod tests {
 
     #[test]
     fn single_arrays_travel_both_ways_and_tables_as_frames() {
-        for kind in [ArrayKind::Modes, ArrayKind::Basis, ArrayKind::Transfer, ArrayKind::Mass] {
+        for kind in [
+            ArrayKind::Modes,
+            ArrayKind::Basis,
+            ArrayKind::Transfer,
+            ArrayKind::Mass,
+            ArrayKind::Positions,
+        ] {
             assert_eq!(kind.offered(), [media::NPY, media::FRAME]);
         }
         for kind in [ArrayKind::Delta, ArrayKind::Evaluator] {

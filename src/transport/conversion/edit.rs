@@ -3,7 +3,9 @@
 use crate::problem::Problem;
 use std::collections::BTreeMap;
 use std::time::Duration;
-use sutura_core::build::{Certificate, CubatureReport, CubatureSource, Method, Verdict};
+use sutura_core::build::{
+    Certificate, ClosingReport, CubatureReport, CubatureSource, Method, Verdict,
+};
 use sutura_core::control::Stage;
 use sutura_core::edit::Edit;
 use sutura_proto::edit as wire;
@@ -34,6 +36,9 @@ fn edit(edit: wire::Edit) -> Edit {
         wire::Edit::ScaleStiffness { domain, factor } => Edit::ScaleStiffness { domain, factor },
         wire::Edit::Fix { vertices } => Edit::Fix { vertices },
         wire::Edit::Release { vertices } => Edit::Release { vertices },
+        wire::Edit::Close { pairs, stiffness_n_m, max_gap_m } => {
+            Edit::Close { pairs, stiffness_n_m, max_gap_m }
+        }
     }
 }
 
@@ -69,6 +74,7 @@ pub(crate) fn reply(generation: &Generation, method: Method, total: Duration) ->
         generation: generation.number,
         method: wire_method(generation.made_by.unwrap_or(method)),
         stitch_ids: generation.stitch_ids.clone(),
+        closings: artifacts.closings().iter().map(closing).collect(),
         n_stitches: artifacts.stitches().len(),
         n_rigid_modes: artifacts.n_rigid_modes(),
         eigenvalues_per_s2: artifacts.eigenvalues_per_s2().to_vec(),
@@ -107,6 +113,16 @@ fn certificate(certificate: &Certificate) -> wire::Certificate {
     }
 }
 
+fn closing(report: &ClosingReport) -> wire::Closing {
+    wire::Closing {
+        edit: report.edit,
+        gaps_m: report.pairs.iter().map(|pair| pair.gap_m).collect(),
+        dropped_energy_j: report.dropped_energy_j,
+        largest_displacement_m: report.largest_displacement_m,
+        residual: report.residual(),
+    }
+}
+
 fn cubature(report: &CubatureReport) -> wire::CubatureInfo {
     wire::CubatureInfo {
         n_points: report.n_points,
@@ -127,6 +143,7 @@ fn timings(stages: &[(Stage, Duration)], total: Duration) -> wire::EditTimings {
     };
     for (stage, took) in stages {
         let group = match stage {
+            Stage::Closing => &mut timings.closing,
             Stage::Assembly | Stage::Factorization | Stage::Modes | Stage::Seams => {
                 &mut timings.linear
             }
@@ -166,6 +183,7 @@ mod tests {
             wire::Edit::ScaleStiffness { domain: 2, factor: 100.0 },
             wire::Edit::Fix { vertices: vec![5, 6] },
             wire::Edit::Release { vertices: vec![5] },
+            wire::Edit::Close { pairs: vec![[1, 9]], stiffness_n_m: 5.0, max_gap_m: Some(1e-3) },
         ]);
         wire_request.base_generation = Some(4);
         wire_request.restore = Some(2);
@@ -188,6 +206,7 @@ mod tests {
                     Edit::ScaleStiffness { domain: 2, factor: 100.0 },
                     Edit::Fix { vertices: vec![5, 6] },
                     Edit::Release { vertices: vec![5] },
+                    Edit::Close { pairs: vec![[1, 9]], stiffness_n_m: 5.0, max_gap_m: Some(1e-3) },
                 ],
             }
         );
@@ -216,6 +235,7 @@ mod tests {
         let ms = Duration::from_millis;
         let stages = Stage::ALL.map(|stage| (stage, ms(1)));
         let timings = timings(&stages, ms(20));
+        assert_eq!(timings.closing, 1.0);
         assert_eq!(timings.linear, 4.0);
         assert_eq!(timings.derivatives, 1.0);
         assert_eq!(timings.reduction, 2.0);

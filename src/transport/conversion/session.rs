@@ -8,7 +8,7 @@ use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use sutura_core::build::{BuildParams, CubatureParams, MassKind, RayleighDamping, Selection};
-use sutura_core::edit::{Edit, EditState};
+use sutura_core::edit::EditState;
 use sutura_core::material::Material;
 use sutura_core::mesh::{MeshFile, MeshFormat, MeshLimits, TetMesh};
 use sutura_proto::session::{
@@ -146,11 +146,9 @@ fn check_seams(config: &SessionConfig, mesh: &Arc<TetMesh>) -> Result<(), Proble
     let is_new = |(_, [a, b]): &(usize, [u32; 2])| seen.insert([*a.min(b), *a.max(b)]);
     let (positions, pairs): (Vec<usize>, Vec<[u32; 2]>) =
         config.seams.iter().copied().enumerate().filter(is_new).unzip();
-    let stitch = Edit::Stitch { pairs, stiffness_n_m: 1.0 };
-    match EditState::new(mesh.clone(), &config.fixed_vertices).apply(&[stitch]) {
-        Ok(_) => Ok(()),
-        Err(error) => Err(problem::of_seam(&error, &positions)),
-    }
+    EditState::new(mesh.clone(), &config.fixed_vertices)
+        .check_pairs(&pairs)
+        .map_err(|error| problem::of_seam(&error, &positions))
 }
 
 fn material(

@@ -186,6 +186,12 @@ const ROUTES: &[Route] = &[
         &[DTYPE],
         SINGLE,
     ),
+    array(
+        "/v1/sessions/{id}/generations/{generation}/positions",
+        "Rest position of each vertex in m, which a closing moves: (n_vertices, 3)",
+        &[DTYPE],
+        SINGLE,
+    ),
     evaluation("/v1/sessions/{id}/generations/{generation}/evaluate"),
     evaluation("/v1/sessions/{id}/evaluate"),
     Route {

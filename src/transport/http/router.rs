@@ -29,6 +29,10 @@ fn api() -> Vec<(&'static str, MethodRouter<Gateway>)> {
             generation::get(ArrayKind::Evaluator),
         ),
         ("/v1/sessions/{id}/generations/{generation}/mass", generation::get(ArrayKind::Mass)),
+        (
+            "/v1/sessions/{id}/generations/{generation}/positions",
+            generation::get(ArrayKind::Positions),
+        ),
         ("/v1/sessions/{id}/generations/{generation}/evaluate", post(evaluate::at_generation)),
         ("/v1/sessions/{id}/evaluate", post(evaluate::at_current)),
         (
