@@ -5,7 +5,7 @@ use crate::daemon::Daemon;
 use serde_json::Value;
 use std::collections::BTreeSet;
 
-const ROUTES: [(&str, &[&str]); 22] = [
+const ROUTES: [(&str, &[&str]); 23] = [
     ("/", &["get"]),
     ("/healthz", &["get"]),
     ("/readyz", &["get"]),
@@ -23,6 +23,7 @@ const ROUTES: [(&str, &[&str]); 22] = [
     ("/v1/sessions/{id}/generations/{generation}/delta", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/evaluator", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/mass", &["get"]),
+    ("/v1/sessions/{id}/generations/{generation}/positions", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/evaluate", &["post"]),
     ("/v1/sessions/{id}/evaluate", &["post"]),
     ("/v1/sessions/{id}/simulation", &["delete", "get", "put"]),

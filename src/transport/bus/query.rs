@@ -22,7 +22,7 @@ use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
 /// The resources that can be asked for.
-const RESOURCES: [Resource; 9] = [
+const RESOURCES: [Resource; 10] = [
     Resource::Edits,
     Resource::Info,
     Resource::Seams,
