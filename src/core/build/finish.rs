@@ -167,6 +167,9 @@ impl<'a> Fit<'a> {
             diagonal_m: prepared.model.mesh().diagonal(),
         };
         let norm = EnergyNorm::new(reduced_stiffness.as_ref())?;
+        // The poses of a validation take two products with the dictionary, as much as making the basis,
+        // which somebody will ask for.
+        basis.dense();
         Ok(Fit { prepared, basis, norm, poses: PoseSource::new(shapes, basis), params })
     }
 
@@ -223,8 +226,6 @@ impl<'a> Fit<'a> {
             source = CubatureSource::Retrained;
         }
         control.progress(Stage::Cubature, 0.1);
-        // Training looks at every row many times.
-        self.basis.dense();
         let training = samples(n_training_poses, seed)?;
         let wanted = Training { selection, n_points, tolerance, seed };
         let rule = cubature::train(&training, &wanted, control)?;

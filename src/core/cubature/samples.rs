@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 /// Poses whose displacements and forces over the whole body are held at a time.
-const POSES_AT_A_TIME: usize = 16;
+const POSES_AT_A_TIME: usize = 24;
 
 /// Tets whose contributions one task sums.
 const TETS_PER_TASK: usize = 16;
