@@ -2,6 +2,7 @@
 //! files beside this one are its modules, each a subject.
 
 mod bodies;
+mod certificates;
 mod closings;
 mod full_model;
 mod generations;
