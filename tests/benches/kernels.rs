@@ -172,7 +172,7 @@ pub(crate) fn measure(
         checks.push(load_check(model, shapes, all.as_ref()));
         loads.push(Loads { n_pairs: all.ncols(), times });
     }
-    let count = paper::row_of(&body.name).map_or(13, |row| row.from_scratch_modes);
+    let count = paper::row_of(&body.name).map_or(13, |row| row.n_derivative_modes);
     let pca = principal_components(&assembled, &factor, &linear, count, repeat)?;
     checks.extend(pca.1);
 

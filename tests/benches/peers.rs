@@ -1,6 +1,7 @@
 //! The peers' figures (`peers/peers.py` writes them) and the ratios to them.
 
 use crate::bodies::Failure;
+use crate::edits::Rebuilds;
 use crate::measure::{Check, median};
 use crate::paper::vega;
 use crate::results::{BodyResults, Results};
@@ -171,7 +172,39 @@ pub(crate) fn ratios(results: &Results, peers: Option<&Peers>) -> Vec<Ratio> {
         });
     }
     ratios.extend(results.scaling.iter().flat_map(scaling_ratios));
+    ratios.extend(results.bodies.iter().flat_map(edit_ratios));
     ratios
+}
+
+/// Edits by the body's own stitches, against building from scratch.
+fn edit_ratios(body: &BodyResults) -> Vec<Ratio> {
+    let own = body.edits.table.comparison.n_stitches;
+    let Some(c) = body.edits.speedup.iter().find(|c| c.n_stitches == own) else {
+        return Vec::new();
+    };
+    let modes = |r: &Rebuilds| r.modes.median_s;
+    let total = |r: &Rebuilds| r.total.median_s;
+    let rows = [
+        ("linear modes", [modes(&c.from_scratch), modes(&c.unprepared)], 15.0),
+        ("linear modes, prepared", [modes(&c.from_scratch), modes(&c.prepared)], 100.0),
+        ("whole edit", [total(&c.from_scratch), total(&c.unprepared)], 10.0),
+        ("whole edit, prepared", [total(&c.from_scratch), total(&c.prepared)], 20.0),
+        (
+            "whole edit, prepared, cubature reused",
+            [total(&c.from_scratch), total(&c.first_answer)],
+            20.0,
+        ),
+    ];
+    rows.map(|(work, [theirs, ours], at_least)| {
+        let target = match body.name.as_str() {
+            "stomach" => Target::AtLeast(at_least),
+            "oball" => Target::AtLeast(4.0),
+            _ => Target::None,
+        };
+        let work = format!("{own} stitches, {work}");
+        ratio(&body.name, &work, "from scratch", [ours, theirs], theirs / ours, target)
+    })
+    .into()
 }
 
 fn kernel_ratios(body: &BodyResults, peer: &PeerBody, is_largest: bool) -> Vec<Ratio> {
