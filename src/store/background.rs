@@ -27,8 +27,9 @@ impl Shared {
         let stitched = body.stitches().iter().map(|stitch| stitch.pair);
         let named = session.seams().into_iter().chain(body.params().seams.iter().copied());
         let mut missing = body.unprepared(named.chain(stitched));
-        let room = self.config.limits.max_seams.saturating_sub(body.n_prepared_pairs());
-        missing.truncate(room);
+        let limits = &self.config.limits;
+        let most = limits.max_seams.min(limits.max_seam_bytes / body.prepared_pair_bytes().max(1));
+        missing.truncate(most.saturating_sub(body.n_prepared_pairs()));
         if missing.is_empty() {
             return;
         }

@@ -79,6 +79,8 @@ pub struct Limits {
     pub max_training_poses: usize,
     /// Candidate stitch pairs prepared with the body.
     pub max_seams: usize,
+    /// Bytes that the prepared pairs of one base body may take; pairs beyond are not prepared.
+    pub max_seam_bytes: usize,
     /// Entries of one edit request.
     pub max_edits_per_request: usize,
     /// Stitches in force in one session.
@@ -114,6 +116,7 @@ impl Default for Limits {
             max_cubature_points: 4000,
             max_training_poses: 2000,
             max_seams: 4096,
+            max_seam_bytes: 1 << 30,
             max_edits_per_request: 256,
             max_stitches: 4096,
             max_evaluations_per_request: 256,

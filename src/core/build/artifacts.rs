@@ -257,6 +257,10 @@ impl Artifacts {
         let seams = self.prepared.seams();
         pairs.into_iter().filter(|pair| seams.position(*pair).is_none()).collect()
     }
+    /// Bytes that a prepared pair takes: two vectors for each of its three columns.
+    pub fn prepared_pair_bytes(&self) -> usize {
+        6 * size_of::<f64>() * self.n_free_dofs()
+    }
     /// Pairs that seams of the base body hold.
     pub fn n_prepared_pairs(&self) -> usize {
         self.prepared.seams().len()

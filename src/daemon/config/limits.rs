@@ -31,6 +31,8 @@ pub(super) struct Limits {
     #[serde(deserialize_with = "count")]
     max_seams: usize,
     #[serde(deserialize_with = "count")]
+    max_seam_bytes: usize,
+    #[serde(deserialize_with = "count")]
     max_edits_per_request: usize,
     #[serde(deserialize_with = "count")]
     max_stitches: usize,
