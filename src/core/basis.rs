@@ -36,8 +36,9 @@ const DEPENDENT: f64 = 1e-13;
 
 /// The same where nothing is multiplied out that could be orthonormalized again: an orthonormal
 /// combination of columns dependent to within d has coefficients of 1/√d, which magnify rounding by
-/// 1/d.
-const RESOLVED: f64 = 1e-9;
+/// 1/d. It cannot be much larger: what keeps a slender body from locking is a small part of its
+/// derivatives (at 1e-9 a fork's static error was 34 times that of a basis from scratch).
+const RESOLVED: f64 = 1e-12;
 
 /// A combination shorter than this fraction of the longest is rounding noise.
 const NOISE: f64 = 1e-13;

@@ -18,6 +18,10 @@ use faer::{Mat, MatRef};
 /// 1e-3, and from there each step costs as much as the solve itself.
 pub const SOLVE_TOLERANCE: f64 = 1e-2;
 
+/// The same for load cases (`modes::load_cases`), from which stitched bodies take theirs: what is a
+/// hundredth of the open body's load can be as much as all of the closed body's response.
+pub const LOAD_CASE_TOLERANCE: f64 = 1e-10;
+
 /// Conjugate-gradient steps before the solution is taken as it is.
 const MOST_STEPS: usize = 60;
 
@@ -50,6 +54,8 @@ pub struct Solver<'a> {
     pub rigid: MatRef<'a, f64>,
     /// Modes of K̂ to correct the preconditioner on; none if they are not accurate.
     pub modes: Option<&'a LinearModes>,
+    /// Relative residual to which to solve.
+    pub tolerance: f64,
 }
 
 impl Solver<'_> {
@@ -78,7 +84,7 @@ impl Solver<'_> {
         for step in 0..MOST_STEPS {
             control::check(control)?;
             let worst = worst_ratio(&r, &norms);
-            if worst <= SOLVE_TOLERANCE || self.sigma == 0.0 {
+            if worst <= self.tolerance || self.sigma == 0.0 {
                 return Ok((x, worst));
             }
             let z = self.precondition(&r);

@@ -18,6 +18,8 @@ pub(super) struct Body<'a> {
     pub(super) sigma: f64,
     /// Motions that remain rigid.
     pub(super) rigid: MatRef<'a, f64>,
+    /// Relative residual to which derivatives are solved for.
+    pub(super) tolerance: f64,
 }
 
 impl<'a> Body<'a> {
@@ -28,6 +30,7 @@ impl<'a> Body<'a> {
             sigma: self.sigma,
             rigid: self.rigid,
             modes: accurate,
+            tolerance: self.tolerance,
         }
     }
 }

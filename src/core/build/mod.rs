@@ -28,6 +28,7 @@ pub use transfer::BasisDelta;
 use crate::assembly::FullModel;
 use crate::assembly::sparse::Pattern;
 use crate::control::{self, Cancelled, Control, Stage};
+use crate::derivatives::{LOAD_CASE_TOLERANCE, SOLVE_TOLERANCE};
 use crate::dictionary::Block;
 use crate::edit::{BaseState, Edit, EditState, StitchId};
 use crate::factorization::SymbolicCholesky;
@@ -71,7 +72,7 @@ impl<'a> StageClock<'a> {
     /// Whether there is no time for something that would only improve the answer and takes about
     /// `estimate`. If so, the answer remains unfinished.
     fn skips(&mut self, estimate: Duration) -> bool {
-        let skips = self.deadline.is_some_and(|deadline| self.control.now() + estimate > deadline);
+        let skips = self.deadline.is_some_and(|deadline| self.control.now() + estimate >= deadline);
         self.is_unfinished |= skips;
         skips
     }
@@ -165,8 +166,14 @@ fn prepare(
     )?;
     let kept = modes.lowest(params.n_modes);
     let stitched = StitchedStiffness::new(&model, &stiffness, &factor, &[])?;
-    let body =
-        Body { model: &model, mass: &mass, stitched: &stitched, sigma, rigid: rigid.as_ref() };
+    let body = Body {
+        model: &model,
+        mass: &mass,
+        stitched: &stitched,
+        sigma,
+        rigid: rigid.as_ref(),
+        tolerance: LOAD_CASE_TOLERANCE,
+    };
     let count = params.n_derivative_modes.min(kept.eigenvalues.len());
     let begin = clock.control.now();
     let (set, loads) = new_derivatives(&body, &kept, Some(&modes), count, clock.control)?;
@@ -273,7 +280,9 @@ fn from_scratch(
         lowest_spectrum(model, mass, &stiffness, rigid.as_ref(), symbolic, params.n_modes, clock)?;
     let kept = modes.lowest(params.n_modes);
     let stitched = StitchedStiffness::new(model, &stiffness, &factor, &[])?;
-    let body = Body { model, mass, stitched: &stitched, sigma, rigid: rigid.as_ref() };
+    let rigid_left = rigid.as_ref();
+    let tolerance = SOLVE_TOLERANCE;
+    let body = Body { model, mass, stitched: &stitched, sigma, rigid: rigid_left, tolerance };
     let count = params.n_derivative_modes.min(kept.eigenvalues.len());
     let (set, _) = new_derivatives(&body, &kept, Some(&modes), count, clock.control)?;
     clock.finish(Stage::Derivatives)?;

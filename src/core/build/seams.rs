@@ -6,6 +6,7 @@ use super::derive::{Body, new_derivatives};
 use super::params::{self, BuildError};
 use super::span::combine;
 use crate::control::{Control, Stage};
+use crate::derivatives::LOAD_CASE_TOLERANCE;
 use crate::edit::Stitch;
 use crate::modes::LinearModes;
 use crate::modes::prepared::PreparedStitches;
@@ -13,9 +14,9 @@ use crate::modes::seams::{BaseModes, Seams};
 use crate::modes::stitched::StitchedStiffness;
 use std::sync::Arc;
 
-/// Stiffness of the springs that close a seam for its load cases, in terms of the seam's own: close to
-/// rigid, and far from where pairs that share vertices would make the flexibility singular.
-const CLOSING_STIFFNESS: f64 = 1e4;
+/// Stiffness of the springs that close a seam for its load cases, in N/m, where no stitch in force tells
+/// what is used here (\[M16\] §6).
+const CLOSING_STIFFNESS_N_M: f64 = 1e5;
 
 /// Prepares `pairs` for edits of every generation that shares the base body of `body`: an edit of
 /// prepared pairs takes no sparse solve. Edits may go on meanwhile.
@@ -39,7 +40,9 @@ pub fn prepare_seams(
     let mut clock = StageClock::start(control);
     let extended = extended(prepared, &seams, &missing, control)?;
     clock.finish(Stage::Seams)?;
-    let closed = closed(prepared, &extended, control)?;
+    let stiffest = body.stitches().iter().map(|s| s.stiffness_n_m).fold(0.0, f64::max);
+    let stiffness_n_m = if stiffest > 0.0 { stiffest } else { CLOSING_STIFFNESS_N_M };
+    let closed = closed(prepared, &extended, stiffness_n_m, control)?;
     prepared.offer_seams(Arc::new(closed));
     Ok(())
 }
@@ -70,13 +73,15 @@ pub(super) fn base_modes(prepared: &Prepared) -> BaseModes<'_> {
 }
 
 /// `seams` with the load cases of the open body and of the one with every pair closed.
-fn closed(prepared: &Prepared, seams: &Seams, control: &dyn Control) -> Result<Seams, BuildError> {
+fn closed(
+    prepared: &Prepared,
+    seams: &Seams,
+    stiffness_n_m: f64,
+    control: &dyn Control,
+) -> Result<Seams, BuildError> {
     let Prepared { params, model, mass, factor, sigma, .. } = prepared;
     let pairs: Vec<[u32; 2]> = seams.pairs().collect();
     let positions: Vec<usize> = pairs.iter().filter_map(|pair| seams.position(*pair)).collect();
-    let own = seams.moment(0, &positions);
-    let trace: f64 = (0..own.nrows()).map(|i| own[(i, i)]).sum();
-    let stiffness_n_m = CLOSING_STIFFNESS * own.nrows() as f64 / trace;
     let stitches: Vec<Stitch> =
         pairs.iter().map(|&pair| Stitch { id: 0, pair, stiffness_n_m }).collect();
     let n_rigid = prepared.rigid().ncols();
@@ -94,7 +99,14 @@ fn closed(prepared: &Prepared, seams: &Seams, control: &dyn Control) -> Result<S
     let stitched = StitchedStiffness::new(model, &prepared.stiffness, factor, &[])?;
     let base = LinearModes { shapes: prepared.modes().to_owned(), eigenvalues: lambda.clone() };
     let rigid = prepared.rigid();
-    let body = Body { model, mass, stitched: &stitched, sigma: *sigma, rigid };
+    let body = Body {
+        model,
+        mass,
+        stitched: &stitched,
+        sigma: *sigma,
+        rigid,
+        tolerance: LOAD_CASE_TOLERANCE,
+    };
     let (set, loads) = new_derivatives(&body, &modes, Some(&base), count, control)?;
     let base = base_modes(prepared);
     let cases = seams.cases().first_set().with(&base, modes, loads.as_ref(), set.shapes);

@@ -7,11 +7,15 @@ use crate::dictionary::{Block, Combination, Dictionary};
 use crate::edit::Stitch;
 use crate::linalg::{self, SmallCholesky};
 use crate::modes::LinearModes;
+use crate::modes::load_cases::Source;
 use crate::modes::prepared::{Coefficients, PreparedStitches};
 use crate::modes::seams::Seams;
 use crate::modes::stitched::StitchMatrix;
 use faer::{Mat, MatRef};
 use std::sync::Arc;
+
+/// Share of a mode (squared) outside the best source below which no other source is needed.
+const SPANNED: f64 = 1e-4;
 
 /// Modal derivatives and where they come from.
 pub(super) struct DerivativeSet {
@@ -110,9 +114,16 @@ fn reduce_dense(
 impl PreparedSpan {
     fn reduce(self, prepared: &Prepared, weighing: &[f64]) -> Result<Subspace, BuildError> {
         let PreparedSpan { stitches, modes, responses, .. } = &self;
-        let all = Coefficients::concatenate(&[modes, responses]);
+        // A source that spans the modes makes all of their derivatives. Those of another would take the
+        // place of some of them: 3.8 times the static error on a slender body.
+        let (best, unexplained) = self.best_source(prepared.params.n_derivative_modes);
+        let kept = match unexplained <= SPANNED {
+            true => self.loads_of(best),
+            false => 0..responses.x.ncols(),
+        };
+        let all = Coefficients::concatenate(&[modes, &responses.columns(kept.clone())]);
         let [mass, stiffness] = stitches.grams(&all);
-        let weights = basis::weights(weighing, &stitches.quotients());
+        let weights = basis::weights(weighing, &stitches.quotients()[kept.clone()]);
         let mut w = basis::pca_of_gram(mass.as_ref(), &weights, prepared.params.basis_size)?;
         let mut basis = all.times(w.as_ref());
         // What rounding has left of non-orthogonality shows only in the combinations themselves.
@@ -122,9 +133,10 @@ impl PreparedSpan {
         basis = basis.times(turn.as_ref());
         let onto = linalg::small_product(w.transpose(), mass.as_ref());
         let k = modes.x.ncols();
-        let (combinations, pairs) = self.derivatives_of_own_modes();
+        let (combinations, pairs) = self.derivatives_of_own_modes(best);
+        let combinations = combinations.subrows(kept.start, kept.len());
         let of_responses = onto.subcols(k, onto.ncols() - k);
-        let of_derivatives = linalg::small_product(of_responses, combinations.as_ref());
+        let of_derivatives = linalg::small_product(of_responses, combinations);
         let inner = linalg::small_product(stiffness.as_ref(), w.as_ref());
         Ok(Subspace {
             stretch: stitches.stretch(&basis),
@@ -137,24 +149,43 @@ impl PreparedSpan {
         })
     }
 
-    /// Combinations of the responses that are about the derivatives of this generation's modes: those are
-    /// bilinear in the modes, which the better of the sources spans in part.
-    fn derivatives_of_own_modes(&self) -> (Mat<f64>, Vec<[usize; 2]>) {
-        let cases = self.seams.cases();
+    /// The source that spans the modes which make derivatives best, by its place, and the largest share of
+    /// one of them (squared, in the mass norm) that it does not span: what its responses cannot know of.
+    pub(super) fn best_source(&self, n_derivative_modes: usize) -> (usize, f64) {
         let inner = self.stitches.on_sources(&self.modes);
-        let mut best: Option<(f64, usize, usize, usize)> = None;
-        let (mut row, mut case) = (0, 0);
-        for source in &cases.sources {
+        let count = n_derivative_modes.min(inner.ncols());
+        let mut row = 0;
+        let mut best = (0, 1.0f64);
+        for (place, source) in self.seams.cases().sources.iter().enumerate() {
             let m = source.energies.len();
-            let count = m.min(inner.ncols());
-            let share = inner.submatrix(row, 0, m, count).squared_norm_l2();
-            if best.is_none_or(|(other, ..)| share > other) {
-                best = Some((share, row, case, m));
+            let share = |j: usize| inner.col(j).subrows(row, m).squared_norm_l2();
+            let unexplained = 1.0 - (0..count).map(share).fold(1.0, f64::min);
+            if place == 0 || unexplained < best.1 {
+                best = (place, unexplained.max(0.0));
             }
             row += m;
-            case += m * (m + 1) / 2;
         }
-        let Some((_, row, case, m)) = best else { return (Mat::zeros(cases.len(), 0), Vec::new()) };
+        best
+    }
+
+    /// Loads of the source at `place`.
+    fn loads_of(&self, place: usize) -> std::ops::Range<usize> {
+        let loads = |source: &Source| source.energies.len() * (source.energies.len() + 1) / 2;
+        let sources = &self.seams.cases().sources;
+        let first = sources[..place].iter().map(loads).sum();
+        first..first + sources.get(place).map_or(0, loads)
+    }
+
+    /// Combinations of all responses that are about the derivatives of this generation's modes: those are
+    /// bilinear in the modes, which the source at `place` spans in part.
+    fn derivatives_of_own_modes(&self, place: usize) -> (Mat<f64>, Vec<[usize; 2]>) {
+        let cases = self.seams.cases();
+        let inner = self.stitches.on_sources(&self.modes);
+        let Some(source) = cases.sources.get(place) else {
+            return (Mat::zeros(cases.len(), 0), Vec::new());
+        };
+        let row: usize = cases.sources[..place].iter().map(|source| source.energies.len()).sum();
+        let (m, case) = (source.energies.len(), self.loads_of(place).start);
         let t = inner.subrows(row, m);
         let pairs = crate::derivatives::pairs(m.min(inner.ncols()));
         let of_source = crate::derivatives::pairs(m);

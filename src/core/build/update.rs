@@ -6,11 +6,12 @@ use super::certificate::Verdict;
 use super::derive::{Body, new_derivatives};
 use super::finish::Draft;
 use super::params::BuildError;
-use super::span::{PreparedSpan, Span};
+use super::span::{DerivativeSet, PreparedSpan, Span, combine};
 use super::{StageClock, seams};
 use crate::assembly::mass::Mass;
 use crate::control::{self, Stage};
 use crate::cubature::Rule;
+use crate::derivatives::SOLVE_TOLERANCE;
 use crate::edit::{EditState, sorted};
 use crate::linalg::{self, DenseError};
 use crate::modes::low_rank::{self, MassInverse};
@@ -19,6 +20,10 @@ use crate::modes::stitched::{StitchMatrix, StitchedStiffness};
 use crate::modes::{self, AuditedSpectrum, LinearModes, flexibility, rigid};
 use faer::{Mat, MatRef};
 use std::sync::Arc;
+
+/// Share of a mode (squared) that load cases may not know of before derivatives are made anew: a slender
+/// body locks where its derivatives belong to modes that are off by more than this.
+const UNEXPLAINED: f64 = 1e-5;
 
 /// Pairs without a seam that an edit makes one for on the way: at three solves a column they cost what
 /// refining the modes of an edit of any size does.
@@ -33,23 +38,63 @@ pub(super) fn by_flexibility(
     tolerance: f64,
     clock: &mut StageClock<'_>,
 ) -> Result<Draft, BuildError> {
-    match in_seams(&prepared, &state, tolerance, clock)? {
-        Some((spectrum, n_rigid_modes, span)) => Ok(Draft {
-            prepared,
-            state,
-            verdict: Verdict::Patched,
-            tolerance: Some(tolerance),
-            n_rigid_modes,
-            weighing: spectrum.eigenvalues.clone(),
-            spectrum,
-            // What the shift leaves of it is bounded and part of the audit of modes.
-            derivative_residual: 0.0,
-            span: Span::Prepared(span),
-            reuse,
-            warnings: Vec::new(),
-        }),
-        None => refined(prepared, state, reuse, Some(tolerance), clock),
-    }
+    let Some((spectrum, n_rigid_modes, span)) = in_seams(&prepared, &state, tolerance, clock)?
+    else {
+        return refined(prepared, state, reuse, Some(tolerance), clock);
+    };
+    let n_derivative_modes = prepared.params.n_derivative_modes;
+    let n_derivatives = n_derivative_modes * (n_derivative_modes + 1) / 2;
+    let knows_enough = span.best_source(n_derivative_modes).1 <= UNEXPLAINED
+        || clock.skips(prepared.column_time * n_derivatives as u32);
+    let (span, verdict, derivative_residual) = if knows_enough {
+        // What the shift leaves of it is bounded and part of the audit of modes.
+        (Span::Prepared(span), Verdict::Patched, 0.0)
+    } else {
+        let (modes, derivatives) =
+            with_new_derivatives(&prepared, &state, &spectrum, &span, clock)?;
+        let residual = derivatives.residual;
+        (Span::Dense { modes, derivatives }, Verdict::Refined, residual)
+    };
+    clock.finish(Stage::Derivatives)?;
+    Ok(Draft {
+        prepared,
+        state,
+        verdict,
+        tolerance: Some(tolerance),
+        n_rigid_modes,
+        weighing: spectrum.eigenvalues.clone(),
+        spectrum,
+        derivative_residual,
+        span,
+        reuse,
+        warnings: Vec::new(),
+    })
+}
+
+/// The modes of a seam beside derivatives that are solved for.
+fn with_new_derivatives(
+    prepared: &Prepared,
+    state: &EditState,
+    spectrum: &AuditedSpectrum,
+    span: &PreparedSpan,
+    clock: &StageClock<'_>,
+) -> Result<(Mat<f64>, DerivativeSet), BuildError> {
+    let Prepared { params, model, mass, stiffness, factor, sigma, .. } = prepared;
+    let shapes = combine(prepared, &span.seams, &span.positions, &span.modes).dense().to_owned();
+    let modes = LinearModes { shapes, eigenvalues: spectrum.eigenvalues.clone() };
+    let stitched = StitchedStiffness::new(model, stiffness, factor, state.stitches())?;
+    let left = rigid_left(stitched.stitch_matrix(), prepared.rigid())?;
+    let body = Body {
+        model,
+        mass,
+        stitched: &stitched,
+        sigma: *sigma,
+        rigid: left.as_ref(),
+        tolerance: SOLVE_TOLERANCE,
+    };
+    let count = params.n_derivative_modes.min(modes.eigenvalues.len());
+    let (derivatives, _) = new_derivatives(&body, &modes, Some(&modes), count, clock.control)?;
+    Ok((modes.shapes, derivatives))
 }
 
 /// The paper's update (\[M16\] §4.1).
@@ -112,7 +157,6 @@ fn in_seams(
     }
     clock.finish(Stage::Modes)?;
     let responses = prepared_stitches.load_responses(&modes, &spectrum.eigenvalues, left.as_ref());
-    clock.finish(Stage::Derivatives)?;
     let span = PreparedSpan { seams, positions, stitches: prepared_stitches, modes, responses };
     Ok(Some((spectrum, left.ncols(), Box::new(span))))
 }
@@ -183,7 +227,14 @@ fn refined(
     };
     clock.finish(Stage::Modes)?;
 
-    let body = Body { model, mass, stitched: &stitched, sigma: *sigma, rigid: left.as_ref() };
+    let body = Body {
+        model,
+        mass,
+        stitched: &stitched,
+        sigma: *sigma,
+        rigid: left.as_ref(),
+        tolerance: SOLVE_TOLERANCE,
+    };
     let weighed = LinearModes { shapes, eigenvalues: weighing.clone() };
     let accurate = tolerance.map(|_| &weighed);
     // All of them anew: with 21 of the six lowest and those of the open body beside them (\[M16\]

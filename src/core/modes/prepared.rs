@@ -52,6 +52,12 @@ impl Coefficients {
         }
     }
 
+    /// Some of these vectors.
+    pub fn columns(&self, range: std::ops::Range<usize>) -> Coefficients {
+        let some = |m: &Mat<f64>| m.subcols(range.start, range.len()).to_owned();
+        Coefficients { x: some(&self.x), s1: some(&self.s1), s2: some(&self.s2), f: some(&self.f) }
+    }
+
     /// The vectors of `parts` side by side.
     pub fn concatenate(parts: &[&Coefficients]) -> Coefficients {
         let side_by_side = |of: fn(&Coefficients) -> &Mat<f64>| {
@@ -295,8 +301,8 @@ impl PreparedStitches {
     }
 
     /// K̂⁻¹L of the load cases, on the complement of the motions that remain rigid
-    /// ([`PreparedStitches::rigid_left`]). Where the factor is shifted, `modes` with `eigenvalues` λ̂
-    /// carry the difference; what it leaves is σ/(λ̂ + σ) of the part beyond them.
+    /// ([`PreparedStitches::rigid_left`]), exact in `modes` with `eigenvalues` λ̂. Where the factor is
+    /// shifted, (σ/(λ̂ + σ))² of the part beyond them is left out.
     pub fn load_responses(
         &self,
         modes: &Coefficients,
@@ -309,17 +315,26 @@ impl PreparedStitches {
         let gap = linalg::small_product(self.gaps.as_ref(), x.as_ref()) + &self.couplings[0];
         let mut y = self.corrected(x, gap.as_ref());
         if self.sigma > 0.0 {
-            // Φ̂ᵀ of that load is Φ̂ᵀL − Λ̂Φ̂ᵀMF.
-            let [mass, stiffness] = self.coupled(modes);
-            let loads = linalg::small_product(modes.x.transpose(), self.cases.on_modes.as_ref());
-            let c = Mat::from_fn(eigenvalues.len(), q, |i, j| {
-                let lambda = eigenvalues[i];
-                let load = loads[(i, j)] + stiffness[(j, i)] - lambda * mass[(j, i)];
-                load * (lambda.recip() - (lambda + self.sigma).recip())
-            });
-            y = y.plus(&modes.times(c.as_ref()));
+            // K̂⁻¹ = K̂_σ⁻¹ + σK̂_σ⁻¹MK̂_σ⁻¹ + …, whose rest is (σ/(λ̂ + σ))² of a mode's share.
+            let mut second = self.step(&y);
+            for part in [&mut second.x, &mut second.s1, &mut second.s2] {
+                *part *= faer::Scale(self.sigma);
+            }
+            y = y.plus(&second);
         }
         y.f = Mat::identity(q, q);
+        // In the modes that are known the response is Λ̂⁻¹Φ̂ᵀL. They span what is soft, where an error of the
+        // load, relative to its stiff part, is magnified most: it would outweigh all else in the basis.
+        let [mass, stiffness] = self.coupled(modes);
+        let loads = linalg::small_product(modes.x.transpose(), self.cases.on_modes.as_ref())
+            + stiffness.transpose();
+        let present = self.mass_of(modes, &y) + mass.transpose();
+        let missing = Mat::from_fn(eigenvalues.len(), q, |i, j| {
+            loads[(i, j)] / eigenvalues[i] - present[(i, j)]
+        });
+        let f = std::mem::replace(&mut y.f, Mat::zeros(q, q));
+        y = y.plus(&modes.times(missing.as_ref()));
+        y.f = f;
         let rigid = y.x.subrows(0, self.n_rigid).to_owned();
         let inside = linalg::small_product(rigid_left.transpose(), rigid.as_ref());
         let free = rigid - linalg::small_product(rigid_left, inside.as_ref());

@@ -2,6 +2,7 @@
 
 use crate::bodies::{bar, by, params, spectrum_error, vector};
 use faer::Mat;
+use std::time::Duration;
 use sutura_core::build::{self, Artifacts, BuildParams, Method, RebuildParams, Verdict};
 use sutura_core::control::Uncontrolled;
 use sutura_core::edit::{Edit, EditError};
@@ -81,9 +82,12 @@ fn none_of_a_hundred_random_edits_violates_its_certificate() {
         build::prepare_seams(&body, prepared, &Uncontrolled).unwrap();
         for i in 0..n_edits {
             let edits = random_edit(i, &body, &bar.pairs);
-            // Every third time more is asked for than a seam can give.
+            // Every third time more is asked for than a seam can give, every other there is no time.
             let tolerance = if i % 3 == 0 { 1e-8 } else { 1e-4 };
-            let asked = RebuildParams::new(Method::Flexibility, tolerance);
+            let asked = RebuildParams {
+                deadline: (i % 3 == 1).then_some(Duration::ZERO),
+                ..RebuildParams::new(Method::Flexibility, tolerance)
+            };
             let (next, _) = build::rebuild(&body, &edits, &asked, &Uncontrolled).unwrap();
             let (exact, _) =
                 build::rebuild(&body, &edits, &by(Method::FromScratch), &Uncontrolled).unwrap();
@@ -91,7 +95,8 @@ fn none_of_a_hundred_random_edits_violates_its_certificate() {
             assert_eq!(next.n_rigid_modes(), exact.n_rigid_modes());
             let certificate = next.certificate();
             verdicts[certificate.verdict as usize] += 1;
-            assert!(certificate.is_met, "{cut:?} {i} {edits:?}: {certificate:?}");
+            let hurried = asked.deadline.is_some();
+            assert!(certificate.is_met || hurried, "{cut:?} {i} {edits:?}: {certificate:?}");
             let (found, truth) = (next.eigenvalues_per_s2(), exact.eigenvalues_per_s2());
             let half = truth.len().div_ceil(2);
             let lower = spectrum_error(&found[..half], &truth[..half]);
