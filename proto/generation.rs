@@ -10,6 +10,14 @@
 //! | `transfer` | [`TRANSFER`] | (r, r of `from`) |
 //! | `delta` | [`DELTA_COLUMNS`] | (c, n_vertices, 3) |
 //! | | [`DELTA_W`] | (r of `have` + c, r) |
+//! | `combination` | [`COMBINATION_N_VERTICES`] (u32) | (1) |
+//! | | [`COMBINATION_BLOCKS`] (u32) | (b, 2) |
+//! | | [`COMBINATION_BLOCK_SIZES`] (u32) | (b) |
+//! | | [`COMBINATION_COLUMNS`] (u32) | (p) |
+//! | | [`COMBINATION_W`] | (p, r) |
+//! | | [`COMBINATION_PREPARED`] (u32) | (c, 2) |
+//! | | [`COMBINATION_PREPARED_SIZES`] (u32) | (c) |
+//! | `dictionary` | [`DICTIONARY`] | (columns of the blocks, n_vertices, 3) |
 //! | `evaluator` | [`EVALUATOR_TETS`] (u32) | (p) |
 //! | | [`EVALUATOR_WEIGHTS`] | (p) |
 //! | | [`EVALUATOR_VOLUMES_M3`] | (p) |
@@ -18,17 +26,33 @@
 //! | | [`EVALUATOR_BASIS_ROWS`] | (p, 4, 3, r) |
 //! | | [`EVALUATOR_STITCH_STIFFNESS`] | (r, r) |
 //!
-//! Resources of one array can be had as .npy too; `delta` and `evaluator` are frames only. Query
-//! parameters: [`PARAMETER_DTYPE`], [`PARAMETER_FROM`], [`PARAMETER_HAVE`], and over Zenoh
-//! [`PARAMETER_GENERATION`]. The new basis of a `delta` is `[basis of have | columns] · w`, column
-//! by column.
+//! Resources of one array can be had as .npy too; `delta`, `combination` and `evaluator` are frames
+//! only. Query parameters: [`PARAMETER_DTYPE`], [`PARAMETER_FROM`], [`PARAMETER_HAVE`],
+//! [`PARAMETER_BLOCKS`], and over Zenoh [`PARAMETER_GENERATION`]. The new basis of a `delta` is
+//! `[basis of have | columns] · w`, column by column.
+//!
+//! A basis is also `D[columns] · w`: a `combination` of columns that generations share, D being its
+//! blocks side by side. What an edit inside a seam makes is combined of blocks that do not change
+//! as long as the body that edits start from is the same, so that a client that has fetched them
+//! from `dictionary` needs the small `combination` alone. A basis that shares nothing is one block
+//! and the identity.
+//!
+//! A block's name is an unsigned 64-bit number; in arrays its lower and upper 32 bits, so that two
+//! u32 are the bytes of the little-endian u64, and no reader needs a 64-bit integer type. It names the
+//! same columns for as long as the daemon runs and never any others; after a restart names start
+//! anew.
 
-/// `f32` (default) or `f64`: the element type of every array but [`EVALUATOR_TETS`].
+/// `f32` (default) or `f64`: the element type of every array that is not marked u32 above.
 pub const PARAMETER_DTYPE: &str = "dtype";
 /// The generation whose coordinates a `transfer` takes; without it, the preceding one.
 pub const PARAMETER_FROM: &str = "from";
 /// The generation whose basis the client of a `delta` holds; required.
 pub const PARAMETER_HAVE: &str = "have";
+/// The blocks of a `dictionary`, decimal numbers between commas; required, at most
+/// [`MAX_DICTIONARY_BLOCKS`].
+pub const PARAMETER_BLOCKS: &str = "blocks";
+/// Most blocks of one `dictionary`.
+pub const MAX_DICTIONARY_BLOCKS: usize = 64;
 /// The generation asked for, over Zenoh: a number or `current` (default).
 pub const PARAMETER_GENERATION: &str = "generation";
 
@@ -46,6 +70,22 @@ pub const TRANSFER: &str = "transfer";
 pub const DELTA_COLUMNS: &str = "columns";
 /// Combination of the older basis and the new columns.
 pub const DELTA_W: &str = "w";
+/// The vertices of the mesh, over which every column has 3 numbers each.
+pub const COMBINATION_N_VERTICES: &str = "n_vertices";
+/// Names of the blocks of D, in order.
+pub const COMBINATION_BLOCKS: &str = "blocks";
+/// Columns of each block.
+pub const COMBINATION_BLOCK_SIZES: &str = "block_sizes";
+/// The columns of D that take part, ascending; column 0 is the first of the first block.
+pub const COMBINATION_COLUMNS: &str = "columns";
+/// W, a row for each of those columns.
+pub const COMBINATION_W: &str = "w";
+/// Names of the blocks that are prepared for further edits now: to be fetched before they come.
+pub const COMBINATION_PREPARED: &str = "prepared";
+/// Columns of each prepared block.
+pub const COMBINATION_PREPARED_SIZES: &str = "prepared_sizes";
+/// Columns of the blocks asked for, in that order.
+pub const DICTIONARY: &str = "dictionary";
 /// The tet of each cubature point.
 pub const EVALUATOR_TETS: &str = "tets";
 /// Cubature weights.

@@ -25,6 +25,10 @@ pub enum Resource {
     Transfer,
     /// Queryable: from an older generation's basis to this one's.
     Delta,
+    /// Queryable: the basis as a combination of named columns.
+    Combination,
+    /// Queryable: named columns.
+    Dictionary,
     /// Queryable: the evaluator's tables.
     Evaluator,
     /// Queryable: lumped masses.
@@ -41,7 +45,7 @@ pub enum Resource {
 
 impl Resource {
     /// Every resource.
-    pub const ALL: [Resource; 13] = [
+    pub const ALL: [Resource; 15] = [
         Resource::Edits,
         Resource::Info,
         Resource::Seams,
@@ -49,6 +53,8 @@ impl Resource {
         Resource::Basis,
         Resource::Transfer,
         Resource::Delta,
+        Resource::Combination,
+        Resource::Dictionary,
         Resource::Evaluator,
         Resource::Mass,
         Resource::Positions,
@@ -67,6 +73,8 @@ impl Resource {
             Resource::Basis => "basis",
             Resource::Transfer => "transfer",
             Resource::Delta => "delta",
+            Resource::Combination => "combination",
+            Resource::Dictionary => "dictionary",
             Resource::Evaluator => "evaluator",
             Resource::Mass => "mass",
             Resource::Positions => "positions",

@@ -1,12 +1,16 @@
 //! The arrays of a generation, checked against each other and against the evaluator.
 
-use crate::bodies::{config, ready_bar, seam, stitch};
+use crate::bodies::{TIP, config, prepared, ready_bar, seam, stitch};
 use crate::daemon::Daemon;
 use reqwest::header;
-use sutura_client::proto::edit::{CubatureSource, EditMethod, EditRequest};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use sutura_client::proto::edit::{CubatureSource, Edit, EditMethod, EditRequest, Verdict};
 use sutura_client::proto::evaluate::{Coordinates, EvaluateReply, EvaluateRequest, Evaluation};
 use sutura_client::proto::{media, npy};
-use sutura_client::{Array, Arrays, Basis, Delta, Evaluator, Generation, Session, Transfer};
+use sutura_client::{
+    Array, Arrays, Basis, Combination, Delta, Evaluator, Generation, Query, Session, Tracker,
+    Transfer,
+};
 
 /// uᵀ M v for displacements over all vertices.
 fn product(mass: &[f64], u: &[f64], v: &[f64]) -> f64 {
@@ -80,6 +84,127 @@ async fn transfer_and_delta_lead_from_one_basis_to_the_next() {
             assert!(error < 1e-8, "{from} to {to}, column {i}: {error:e}");
         }
     }
+}
+
+/// Counts the bytes that come from a source.
+struct Counting<S> {
+    source: S,
+    n_bytes: AtomicUsize,
+}
+
+impl<S: Arrays> Counting<S> {
+    fn new(source: S) -> Counting<S> {
+        Counting { source, n_bytes: AtomicUsize::new(0) }
+    }
+
+    /// Bytes since the last call.
+    fn n_bytes(&self) -> usize {
+        self.n_bytes.swap(0, Ordering::Relaxed)
+    }
+}
+
+impl<S: Arrays> Arrays for Counting<S> {
+    async fn frame(&self, query: Query) -> sutura_client::Result<Vec<u8>> {
+        let bytes = self.source.frame(query).await?;
+        self.n_bytes.fetch_add(bytes.len(), Ordering::Relaxed);
+        Ok(bytes)
+    }
+}
+
+/// The most that a combination alone can take: its frame's header, padding included, two u32 and a size
+/// for each block, an index and a row of W for each column in use.
+fn combination_bytes(combination: &Combination) -> usize {
+    let n_blocks = combination.blocks().len() + combination.prepared().len();
+    512 + 12 * n_blocks + 4 * (1 + combination.size()) * combination.n_used()
+}
+
+/// Checks that `tracker` follows `generation` of `session` to single precision.
+async fn assert_follows<S: Arrays>(tracker: &Tracker<S>, session: &Session, generation: u64) {
+    assert_eq!(tracker.generation(), generation);
+    let whole: Basis = session.basis(generation.into()).await.unwrap();
+    let followed = tracker.basis().unwrap();
+    assert_eq!((followed.size(), followed.n_vertices()), (whole.size(), whole.n_vertices()));
+    let columns = || (0..whole.size()).flat_map(|i| whole.column(i));
+    let scale = columns().fold(0.0f32, |m, x| m.max(x.abs()));
+    let found = (0..whole.size()).flat_map(|i| followed.column(i));
+    let error = columns().zip(found).fold(0.0f32, |m, (a, b)| m.max((a - b).abs())) / scale;
+    assert!(error <= 1e-6, "generation {generation}: {error:e}");
+    let q: Vec<f32> = (0..whole.size()).map(|i| (1.0 + i as f32).sin()).collect();
+    let (found, exact) = (tracker.reconstruct(&q).unwrap(), whole.reconstruct(&q).unwrap());
+    let scale = exact.iter().fold(0.0f32, |m, x| m.max(x.abs()));
+    let error = exact.iter().zip(&found).fold(0.0f32, |m, (a, b)| m.max((a - b).abs())) / scale;
+    assert!(error <= 2e-6, "generation {generation}: {error:e}");
+}
+
+/// Edits inside a seam, followed over `source`: W is all that travels.
+async fn follow_in_a_seam(session: &Session, source: impl Arrays) {
+    let pairs = seam();
+    let source = Counting::new(source);
+    let mut tracker = Tracker::new(&source).await.unwrap();
+    assert!(tracker.prefetch().await.unwrap(), "everything prepared fits");
+    source.n_bytes();
+    for some in [&pairs[..4], &pairs[4..6]] {
+        let reply = session.edit(&stitch(some)).await.unwrap();
+        assert_eq!(reply.certificate.verdict, Verdict::Patched);
+        tracker.follow(reply.generation).await.unwrap();
+        let n_bytes = source.n_bytes();
+        let combination: Combination = session.combination(Generation::Current).await.unwrap();
+        let bound = combination_bytes(&combination);
+        assert!(n_bytes <= bound, "{n_bytes} bytes, {bound} for W");
+        // Of the seam's columns only those of the stitched pairs.
+        assert!(combination.n_used() + 6 * (pairs.len() - 4) <= combination.n_columns() + 12);
+        assert_follows(&tracker, session, reply.generation).await;
+    }
+    // Another base body: its columns take the place of the old ones.
+    let before: Vec<u64> = tracker.dictionary().ids().collect();
+    assert!(before.len() > 1);
+    let reply =
+        session.edit(&EditRequest::new(vec![Edit::Fix { vertices: vec![TIP] }])).await.unwrap();
+    tracker.follow(reply.generation).await.unwrap();
+    assert!(tracker.dictionary().ids().all(|id| !before.contains(&id)));
+    assert_follows(&tracker, session, reply.generation).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn w_alone_travels_after_an_edit_in_a_seam() {
+    let daemon = Daemon::start();
+    for over_zenoh in [false, true] {
+        let session = ready_bar(&daemon).await;
+        session.add_seams(&seam()).await.unwrap();
+        prepared(&session, seam().len()).await;
+        if over_zenoh {
+            let zenoh = daemon.zenoh_client().await;
+            follow_in_a_seam(&session, zenoh.session(session.id()).unwrap()).await;
+        } else {
+            follow_in_a_seam(&session, session.clone()).await;
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn blocks_are_fetched_once_whole_bases_have_cost_as_much() {
+    let daemon = Daemon::start();
+    let session = ready_bar(&daemon).await;
+    session.add_seams(&seam()).await.unwrap();
+    prepared(&session, seam().len()).await;
+    let source = Counting::new(session.clone());
+    let mut tracker = Tracker::new(&source).await.unwrap();
+    let mut last = 0;
+    let mut all = source.n_bytes();
+    for pair in seam() {
+        let reply = session.edit(&stitch(&[pair])).await.unwrap();
+        tracker.follow(reply.generation).await.unwrap();
+        assert_follows(&tracker, &session, reply.generation).await;
+        last = source.n_bytes();
+        all += last;
+    }
+    let combination: Combination = session.combination(Generation::Current).await.unwrap();
+    assert!(last <= combination_bytes(&combination), "{last} bytes for the last edit");
+    // Whole bases and blocks cost at most about twice what the blocks alone would have.
+    let column = 12 * combination.n_vertices();
+    let first = combination.size() * column;
+    let bound = first + 2 * combination.n_columns() * column + 10 * combination_bytes(&combination);
+    assert!(all <= bound + 4096, "{all} bytes, {bound} expected");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -130,10 +130,10 @@ async fn vertices_are_fixed_and_released_over_http_and_over_zenoh() {
     let info = session.info().await.unwrap();
     assert_eq!(info.n_free_dofs, before.n_free_dofs - 6);
     assert_eq!(info.parameters.unwrap().n_fixed_vertices, fixed_before + 2);
-    // The difference makes the new basis, in which the held vertices rest.
+    // The new basis, in which the held vertices rest.
     tracker.follow(fixed.generation).await.unwrap();
     let whole = session.basis::<f32>(fixed.generation.into()).await.unwrap();
-    let (followed, fetched) = (tracker.basis(), &whole);
+    let (followed, fetched) = (tracker.basis().unwrap(), &whole);
     for i in 0..whole.size() {
         let largest = fetched.column(i).iter().fold(0.0f32, |m, x| m.max(x.abs()));
         for (a, b) in followed.column(i).iter().zip(fetched.column(i)) {

@@ -5,7 +5,7 @@ use crate::daemon::Daemon;
 use serde_json::Value;
 use std::collections::BTreeSet;
 
-const ROUTES: [(&str, &[&str]); 23] = [
+const ROUTES: [(&str, &[&str]); 25] = [
     ("/", &["get"]),
     ("/healthz", &["get"]),
     ("/readyz", &["get"]),
@@ -21,6 +21,8 @@ const ROUTES: [(&str, &[&str]); 23] = [
     ("/v1/sessions/{id}/generations/{generation}/basis", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/transfer", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/delta", &["get"]),
+    ("/v1/sessions/{id}/generations/{generation}/combination", &["get"]),
+    ("/v1/sessions/{id}/generations/{generation}/dictionary", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/evaluator", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/mass", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/positions", &["get"]),

@@ -64,7 +64,7 @@ async fn a_simulation_crosses_an_edit_without_a_jump() {
         }
         let from = tracker.displacement(&before).await.unwrap();
         let to = tracker.displacement(&state).await.unwrap();
-        assert_eq!(tracker.basis().generation(), generation + 1);
+        assert_eq!(tracker.generation(), generation + 1);
         let reply = reply.await.unwrap();
         assert_eq!(reply.generation, generation + 1);
         if before.time_s == state.time_s {

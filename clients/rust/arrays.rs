@@ -1,5 +1,9 @@
 //! The arrays of a generation, and what a client computes with them: u = U q.
 
+mod combination;
+
+pub use combination::{BlockName, Combination, Dictionary};
+
 use crate::error::{Error, Result};
 use std::fmt::Display;
 use std::future::Future;
@@ -64,21 +68,21 @@ impl Scalar for f64 {
     }
 }
 
-/// What to fetch.
-#[derive(Clone, Copy, Debug)]
+/// What to fetch: made by the methods of [`Arrays`], for those who carry it.
+#[derive(Clone, Debug)]
 pub struct Query {
     pub(crate) resource: Resource,
     pub(crate) generation: Generation,
-    /// The older generation that the arrays relate to, under its name in the query.
-    relative_to: Option<(&'static str, u64)>,
+    /// What else determines the arrays: a name in the query, and its value.
+    parameter: Option<(&'static str, String)>,
     dtype: &'static str,
 }
 
 impl Query {
     /// The query's parameters beside resource and generation.
     pub(crate) fn parameters(&self) -> Vec<(&'static str, String)> {
-        let relative_to = self.relative_to.map(|(name, number)| (name, number.to_string()));
-        [(PARAMETER_DTYPE, self.dtype.to_owned())].into_iter().chain(relative_to).collect()
+        let parameter = self.parameter.iter().cloned();
+        [(PARAMETER_DTYPE, self.dtype.to_owned())].into_iter().chain(parameter).collect()
     }
 }
 
@@ -141,7 +145,11 @@ pub trait Arrays: Sync {
     ) -> impl Future<Output = Result<Transfer<T>>> + Send {
         async move {
             let bytes = self
-                .frame(query::<T>(Resource::Transfer, generation, Some((PARAMETER_FROM, from))))
+                .frame(query::<T>(
+                    Resource::Transfer,
+                    generation,
+                    Some((PARAMETER_FROM, from.to_string())),
+                ))
                 .await?;
             let matrix = take(&mut Frame::decode(&bytes)?, TRANSFER, [None, None])?;
             Ok(Transfer { from, matrix })
@@ -156,12 +164,42 @@ pub trait Arrays: Sync {
     ) -> impl Future<Output = Result<Delta<T>>> + Send {
         async move {
             let bytes = self
-                .frame(query::<T>(Resource::Delta, generation, Some((PARAMETER_HAVE, have))))
+                .frame(query::<T>(
+                    Resource::Delta,
+                    generation,
+                    Some((PARAMETER_HAVE, have.to_string())),
+                ))
                 .await?;
             let mut frame = Frame::decode(&bytes)?;
             let columns = take_or_empty(&mut frame, DELTA_COLUMNS, [None, None, Some(3)])?;
             let w = take(&mut frame, DELTA_W, [None, None])?;
             Ok(Delta { have, columns, w })
+        }
+    }
+
+    /// The basis as a combination of named columns.
+    fn combination<T: Scalar>(
+        &self,
+        generation: Generation,
+    ) -> impl Future<Output = Result<Combination<T>>> + Send {
+        async move {
+            let bytes = self.frame(query::<T>(Resource::Combination, generation, None)).await?;
+            Combination::decode(&bytes)
+        }
+    }
+
+    /// The columns of a block (k, n_vertices, 3) of a generation's combination, or of one that is
+    /// prepared for its further edits.
+    fn block<T: Scalar>(
+        &self,
+        generation: Generation,
+        block: BlockName,
+    ) -> impl Future<Output = Result<Array<T>>> + Send {
+        async move {
+            let which = Some((PARAMETER_BLOCKS, block.id.to_string()));
+            let bytes = self.frame(query::<T>(Resource::Dictionary, generation, which)).await?;
+            let shape = [Some(block.n_columns), None, Some(3)];
+            take(&mut Frame::decode(&bytes)?, DICTIONARY, shape)
         }
     }
 
@@ -177,12 +215,18 @@ pub trait Arrays: Sync {
     }
 }
 
+impl<S: Arrays> Arrays for &S {
+    fn frame(&self, query: Query) -> impl Future<Output = Result<Vec<u8>>> + Send {
+        (**self).frame(query)
+    }
+}
+
 fn query<T: Scalar>(
     resource: Resource,
     generation: Generation,
-    relative_to: Option<(&'static str, u64)>,
+    parameter: Option<(&'static str, String)>,
 ) -> Query {
-    Query { resource, generation, relative_to, dtype: T::NAME }
+    Query { resource, generation, parameter, dtype: T::NAME }
 }
 
 /// An array of one generation, row-major.

@@ -18,7 +18,10 @@ mod session;
 mod states;
 mod tracker;
 
-pub use arrays::{Array, Arrays, Basis, Delta, Evaluator, Generation, Scalar, Transfer};
+pub use arrays::{
+    Array, Arrays, Basis, BlockName, Combination, Delta, Dictionary, Evaluator, Generation, Query,
+    Scalar, Transfer,
+};
 pub use bus::{BusSession, GenerationStream, ZenohClient};
 pub use error::{Error, Result};
 pub use events::EventStream;

@@ -9,7 +9,9 @@ use std::time::Instant;
 use sutura_core::mesh::MeshLimits;
 use sutura_proto::array::DType;
 use sutura_proto::edit::{EditReply, EditRequest};
-use sutura_proto::generation::{PARAMETER_DTYPE, PARAMETER_FROM, PARAMETER_HAVE};
+use sutura_proto::generation::{
+    MAX_DICTIONARY_BLOCKS, PARAMETER_BLOCKS, PARAMETER_DTYPE, PARAMETER_FROM, PARAMETER_HAVE,
+};
 use sutura_proto::session::{SeamReply, SeamRequest, SessionInfo};
 use sutura_proto::simulation::ForceRequest;
 use sutura_store::{Generation, GenerationRef, SessionId};
@@ -111,7 +113,7 @@ pub(crate) fn push_forces(
 }
 
 /// Which array of which generation, and how it is to travel.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct ArrayRequest {
     pub(crate) kind: ArrayKind,
     pub(crate) generation: GenerationRef,
@@ -129,12 +131,23 @@ pub(crate) async fn array(
 ) -> Result<Vec<u8>, Problem> {
     let ArrayRequest { kind, params, media, max_bytes, .. } = request;
     let form = ArrayForm { dtype: params.dtype, media, max_bytes };
+    check_blocks(kind, &params.blocks)?;
     let generation = gateway.store().generation(id, request.generation)?;
-    let reference = reference(gateway, id, kind, &generation, params)?;
+    let reference = reference(gateway, id, kind, &generation, &params)?;
     let job = move |control: &dyn sutura_core::control::Control| {
-        array::encode(kind, &generation, reference.as_deref(), form, control)
+        array::encode(kind, &generation, reference.as_deref(), &params.blocks, form, control)
     };
     gateway.store().compute("assembling an array", job).await?
+}
+
+/// Whether `blocks` name some where that is wanted, and none elsewhere.
+fn check_blocks(kind: ArrayKind, blocks: &[u64]) -> Result<(), Problem> {
+    let detail = match (kind, blocks) {
+        (ArrayKind::Dictionary, []) => "say which blocks with ?blocks=",
+        (ArrayKind::Dictionary, _) | (_, []) => return Ok(()),
+        _ => "?blocks= does not belong to this array",
+    };
+    Err(Problem::new(Kind::MalformedParameter, detail))
 }
 
 /// The second generation that the array relates to, if it relates to one.
@@ -143,7 +156,7 @@ fn reference(
     id: SessionId,
     kind: ArrayKind,
     generation: &Generation,
-    params: ArrayParams,
+    params: &ArrayParams,
 ) -> Result<Option<Arc<Generation>>, Problem> {
     let misplaced = |name| {
         let detail = format!("?{name}= does not belong to this array");
@@ -170,7 +183,7 @@ fn reference(
 }
 
 /// Parameters of an array request, from an HTTP query or a Zenoh selector.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ArrayParams {
     /// Element type of floating-point arrays.
     pub(crate) dtype: DType,
@@ -178,6 +191,8 @@ pub(crate) struct ArrayParams {
     pub(crate) from: Option<u64>,
     /// `delta`: the generation that the client holds.
     pub(crate) have: Option<u64>,
+    /// `dictionary`: names of blocks, none of them twice.
+    pub(crate) blocks: Vec<u64>,
 }
 
 impl ArrayParams {
@@ -189,7 +204,8 @@ impl ArrayParams {
         let number = |name: &str, text: &str| {
             text.parse().map(Some).map_err(|_| malformed(format!("{name} must be a number")))
         };
-        let mut params = ArrayParams { dtype: DType::F32, from: None, have: None };
+        let mut params =
+            ArrayParams { dtype: DType::F32, from: None, have: None, blocks: Vec::new() };
         for (name, value) in pairs {
             match (name, value) {
                 (PARAMETER_DTYPE, "f32") => params.dtype = DType::F32,
@@ -202,6 +218,7 @@ impl ArrayParams {
                 }
                 (PARAMETER_FROM, text) => params.from = number(PARAMETER_FROM, text)?,
                 (PARAMETER_HAVE, text) => params.have = number(PARAMETER_HAVE, text)?,
+                (PARAMETER_BLOCKS, text) => params.blocks = block_names(text).map_err(malformed)?,
                 _ => {
                     return Err(malformed(format!("there is no parameter {}", shown(name))));
                 }
@@ -211,6 +228,22 @@ impl ArrayParams {
     }
 }
 
+/// Numbers between commas: at most as many as one request may name, each once.
+fn block_names(text: &str) -> Result<Vec<u64>, String> {
+    let mut names = Vec::new();
+    for part in text.split(',') {
+        let name = part.parse().map_err(|_| format!("{} is no name of a block", shown(part)))?;
+        if names.contains(&name) {
+            return Err(format!("block {name} is named twice"));
+        }
+        if names.len() == MAX_DICTIONARY_BLOCKS {
+            return Err(format!("at most {MAX_DICTIONARY_BLOCKS} blocks are sent at once"));
+        }
+        names.push(name);
+    }
+    Ok(names)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -218,9 +251,26 @@ mod tests {
     #[test]
     fn array_parameters_are_read_strictly() {
         let params = ArrayParams::parse([("dtype", "f64"), ("from", "3")]).unwrap();
-        assert_eq!(params, ArrayParams { dtype: DType::F64, from: Some(3), have: None });
+        let expected =
+            ArrayParams { dtype: DType::F64, from: Some(3), have: None, blocks: Vec::new() };
+        assert_eq!(params, expected);
+        let params = ArrayParams::parse([("blocks", "7,18446744073709551615,0")]).unwrap();
+        assert_eq!(params.blocks, [7, u64::MAX, 0]);
         assert_eq!(ArrayParams::parse([]).unwrap().dtype, DType::F32);
-        for pair in [("dtype", "u32"), ("from", "-1"), ("have", ""), ("dtyp", "f64")] {
+        let numbers: Vec<String> = (0..=MAX_DICTIONARY_BLOCKS).map(|n| n.to_string()).collect();
+        assert!(ArrayParams::parse([("blocks", &*numbers[1..].join(","))]).is_ok());
+        for pair in [
+            ("dtype", "u32"),
+            ("from", "-1"),
+            ("have", ""),
+            ("dtyp", "f64"),
+            ("blocks", ""),
+            ("blocks", "1,"),
+            ("blocks", "1,x"),
+            ("blocks", "1,2,1"),
+            ("blocks", "18446744073709551616"),
+            ("blocks", &*numbers.join(",")),
+        ] {
             assert_eq!(ArrayParams::parse([pair]).unwrap_err().status(), 400, "{pair:?}");
         }
     }

@@ -18,6 +18,7 @@ pub(crate) enum Kind {
     NoRoute,
     NoSession,
     NoGeneration,
+    NoBlock,
     NoSimulation,
     MethodNotAllowed,
     NotAcceptable,
@@ -41,7 +42,7 @@ pub(crate) enum Kind {
 
 impl Kind {
     #[cfg(test)]
-    pub(crate) const ALL: [Kind; 26] = [
+    pub(crate) const ALL: [Kind; 27] = [
         Kind::MalformedDocument,
         Kind::MalformedMesh,
         Kind::MalformedParameter,
@@ -49,6 +50,7 @@ impl Kind {
         Kind::NoRoute,
         Kind::NoSession,
         Kind::NoGeneration,
+        Kind::NoBlock,
         Kind::NoSimulation,
         Kind::MethodNotAllowed,
         Kind::NotAcceptable,
@@ -80,6 +82,7 @@ impl Kind {
             Kind::NoRoute => (404, "no-route", "No such path"),
             Kind::NoSession => (404, "no-session", "No such session"),
             Kind::NoGeneration => (404, "no-generation", "No such generation"),
+            Kind::NoBlock => (404, "no-block", "No such block of columns"),
             Kind::NoSimulation => (404, "no-simulation", "No simulation"),
             Kind::MethodNotAllowed => (405, "method-not-allowed", "Method not allowed"),
             Kind::NotAcceptable => (406, "not-acceptable", "Not acceptable"),

@@ -9,6 +9,7 @@ use axum::http::{HeaderMap, Request, header};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::time::Duration;
+use sutura_proto::array::Data;
 use sutura_proto::edit::{Edit, EditMethod, EditReply, EditRequest};
 use sutura_proto::event::GenerationInfo;
 use sutura_proto::frame::Frame;
@@ -79,6 +80,24 @@ fn seam() -> Vec<[u32; 2]> {
 
 fn stitch(pairs: &[[u32; 2]]) -> EditRequest {
     EditRequest::new(vec![Edit::Stitch { pairs: pairs.to_vec(), stiffness_n_m: 1e4 }])
+}
+
+/// An array of u32.
+fn numbers(frame: &mut Frame<'_>, name: &str) -> Vec<u32> {
+    let Data::U32(numbers) = frame.take(name).unwrap().data else { panic!("{name} is not u32") };
+    numbers.into_owned()
+}
+
+/// Names of blocks, in decimal, from the halves that travel.
+fn block_names(frame: &mut Frame<'_>, name: &str) -> Vec<String> {
+    let halves = numbers(frame, name);
+    let halves = halves.chunks(2).map(|half| u64::from(half[0]) + (u64::from(half[1]) << 32));
+    halves.map(|id| id.to_string()).collect()
+}
+
+fn f64s<'a>(data: &'a Data<'_>) -> &'a [f64] {
+    let Data::F64(elements) = data else { panic!("not f64") };
+    elements
 }
 
 struct Door {
@@ -237,6 +256,57 @@ async fn arrays_and_evaluations_agree_in_every_form() {
     let mut delta = Frame::decode(&bytes).unwrap();
     let n_columns = delta.take("columns").unwrap().shape[0];
     assert_eq!(delta.take("w").unwrap().shape, [r_old + n_columns, r]);
+    let bytes = fetch("1/combination?dtype=f64", media::FRAME).await;
+    let mut combination = Frame::decode(&bytes).unwrap();
+    assert_eq!(numbers(&mut combination, "n_vertices"), [n_vertices as u32]);
+    let sizes = numbers(&mut combination, "block_sizes");
+    let blocks: Vec<String> = block_names(&mut combination, "blocks");
+    assert_eq!(blocks.len(), sizes.len());
+    let path = format!("1/dictionary?dtype=f64&blocks={}", blocks.join(","));
+    let bytes = fetch(&path, media::FRAME).await;
+    let mut dictionary = Frame::decode(&bytes).unwrap();
+    let dictionary = dictionary.take("dictionary").unwrap();
+    let n_columns = sizes.iter().sum::<u32>() as usize;
+    assert_eq!(dictionary.shape, [n_columns, n_vertices, 3]);
+    let bytes = fetch(&path, media::NPY).await;
+    assert_eq!(npy::decode("", &bytes).unwrap().data, dictionary.data);
+    // D·W is the basis.
+    let used = numbers(&mut combination, "columns");
+    let w = combination.take("w").unwrap();
+    assert_eq!(w.shape, [used.len(), r]);
+    let [columns, w, basis] = [&dictionary.data, &w.data, &basis.data].map(f64s);
+    for (at, expected) in basis.iter().enumerate() {
+        let (j, at) = (at / (3 * n_vertices), at % (3 * n_vertices));
+        let terms = used.iter().enumerate();
+        let sum: f64 =
+            terms.map(|(row, &i)| columns[3 * n_vertices * i as usize + at] * w[row * r + j]).sum();
+        assert!((sum - expected).abs() < 1e-9 * (1.0 + expected.abs()), "{sum} {expected}");
+    }
+    // The same block by itself; what nobody has; what is no list of names.
+    let bytes = fetch(&format!("1/dictionary?blocks={}", blocks[0]), media::NPY).await;
+    assert_eq!(npy::decode("", &bytes).unwrap().shape, [sizes[0] as usize, n_vertices, 3]);
+    let beyond = format!("{},{}", blocks[0], u64::MAX);
+    for (query, status) in [
+        (format!("dictionary?blocks={beyond}"), 404),
+        ("dictionary".to_owned(), 400),
+        ("dictionary?blocks=x".to_owned(), 400),
+        ("basis?blocks=1".to_owned(), 400),
+        ("dictionary?blocks=1&have=0".to_owned(), 400),
+    ] {
+        let path = format!("{session}/generations/1/{query}");
+        let problem = door.call("GET", &path, Value::Null, status).await;
+        let problem: Value = serde_json::from_slice(&problem).unwrap();
+        if status == 404 {
+            assert!(problem["detail"].as_str().unwrap().contains(&u64::MAX.to_string()));
+        }
+    }
+    // Blocks of another session are not there, its body being another.
+    let mut other = bars();
+    other["n_modes"] = json!(5);
+    let reply = door.call("POST", "/v1/sessions?wait_s=120", other, 202).await;
+    let other = serde_json::from_slice::<SessionInfo>(&reply).unwrap().id;
+    let path = format!("/v1/sessions/{other}/generations/0/dictionary?blocks={}", blocks[0]);
+    door.call("GET", &path, Value::Null, 404).await;
     let bytes = fetch("1/evaluator", media::FRAME).await;
     assert_eq!(Frame::decode(&bytes).unwrap().take("stitch_stiffness").unwrap().shape, [r, r]);
     let path = format!("{session}/generations/0/transfer");
@@ -301,6 +371,16 @@ async fn zenoh_edits_follows_and_moves_what_http_opened() {
     let (encoding, basis) = ask(key("basis?generation=0;dtype=f64"), Vec::new()).await;
     assert_eq!(encoding, media::FRAME);
     assert_eq!(Frame::decode(&basis).unwrap().generation, 0);
+    let (encoding, combination) = ask(key("combination?generation=0"), Vec::new()).await;
+    let mut combination = Frame::decode(&combination).unwrap();
+    assert_eq!((encoding.as_str(), combination.generation), (media::FRAME, 0));
+    let blocks = block_names(&mut combination, "blocks").join(",");
+    let selector = format!("dictionary?generation=0;dtype=f64;blocks={blocks}");
+    let (_, dictionary) = ask(key(&selector), Vec::new()).await;
+    // A basis that shares nothing is its own block.
+    let basis = Frame::decode(&basis).unwrap().take("basis").unwrap().data;
+    let mut dictionary = Frame::decode(&dictionary).unwrap();
+    assert_eq!(dictionary.take("dictionary").unwrap().data.bytes(), basis.bytes());
 
     // States flow although no HTTP stream is open.
     let simulation = format!("{session}/simulation");

@@ -4,8 +4,10 @@ use sutura_proto::array::Array as WireArray;
 use sutura_proto::state::{RIGID_IDENTITY, StateFrame};
 
 /// Two vertices. Generation 0 has two columns; generation 1 replaces the second one by a new column
-/// and adds half of the first.
+/// and adds half of the first. The columns of generation 0 are block 1, the new column is block 2, of
+/// which a first column takes no part.
 struct Daemon {
+    /// Whether it has the generation before and the blocks still.
     keeps_old: bool,
 }
 
@@ -19,6 +21,14 @@ impl Arrays for Daemon {
         let arrays = match (query.resource, generation) {
             (Resource::Basis, 0) => vec![WireArray::f32(BASIS, [2, 2, 3], &OLD[..])],
             (Resource::Basis, _) => vec![WireArray::f32(BASIS, [2, 2, 3], &NEW[..])],
+            (Resource::Combination, 0) => combination(&[(1, 2)], &[0, 1], &[1., 0., 0., 1.]),
+            (Resource::Combination, _) => {
+                combination(&[(1, 2), (BIG, 2)], &[0, 3], &[1.0, 0.5, 0.0, 1.0])
+            }
+            (Resource::Dictionary, _) if self.keeps_old => match &*query.parameters()[1].1 {
+                "1" => vec![WireArray::f32(DICTIONARY, [2, 2, 3], &OLD[..])],
+                _ => vec![WireArray::f32(DICTIONARY, [2, 2, 3], [[9.0; 6], EXTRA].concat())],
+            },
             (Resource::Transfer, _) if self.keeps_old => {
                 vec![WireArray::f32(TRANSFER, [2, 2], vec![1.0, 0.0, 0.5, 0.0])]
             }
@@ -39,6 +49,25 @@ impl Arrays for Daemon {
         };
         Ok(Frame { generation, arrays }.encode()?)
     }
+}
+
+/// A name beyond 32 bits.
+const BIG: u64 = 2 + (3 << 32);
+
+/// The arrays of a combination of `blocks` (name and size).
+fn combination(blocks: &[(u64, u32)], used: &[u32], w: &[f32]) -> Vec<WireArray<'static>> {
+    let ids: Vec<u32> = blocks.iter().flat_map(|(id, _)| [*id as u32, (id >> 32) as u32]).collect();
+    let sizes: Vec<u32> = blocks.iter().map(|(_, size)| *size).collect();
+    let n = blocks.len();
+    vec![
+        WireArray::u32(COMBINATION_N_VERTICES, [1], vec![2]),
+        WireArray::u32(COMBINATION_BLOCKS, [n, 2], ids.clone()),
+        WireArray::u32(COMBINATION_BLOCK_SIZES, [n], sizes.clone()),
+        WireArray::u32(COMBINATION_COLUMNS, [used.len()], used.to_vec()),
+        WireArray::f32(COMBINATION_W, [used.len(), w.len() / used.len()], w.to_vec()),
+        WireArray::u32(COMBINATION_PREPARED, [n, 2], ids),
+        WireArray::u32(COMBINATION_PREPARED_SIZES, [n], sizes),
+    ]
 }
 
 #[tokio::test]
@@ -66,9 +95,81 @@ async fn a_tracker_follows_with_or_without_the_old_generation() {
         assert_eq!(tracker.displacement(&state).await.unwrap(), &OLD[6..]);
         state.generation = 1;
         assert_eq!(tracker.displacement(&state).await.unwrap(), &NEW[6..]);
-        assert_eq!(tracker.basis().generation(), 1);
+        assert_eq!(tracker.generation(), 1);
+        assert_eq!(tracker.basis().unwrap().column(1), &NEW[6..]);
+        let held: Vec<u64> = tracker.dictionary().ids().collect();
+        assert_eq!(held, if keeps_old { vec![1, BIG] } else { vec![] });
         state.q.push(0.0);
         assert!(matches!(tracker.displacement(&state).await, Err(Error::Mismatch(_))));
+    }
+}
+
+#[tokio::test]
+async fn a_tracker_holds_no_more_columns_than_it_may() {
+    const COLUMN: usize = 6 * 4;
+    for (limit, first, second) in [
+        (4 * COLUMN, vec![1], vec![1, BIG]),
+        // Generation 1 is combined of four columns, all of which would have to be held.
+        (3 * COLUMN, vec![1], vec![1]),
+        (COLUMN, vec![], vec![]),
+    ] {
+        let mut tracker = Tracker::with_limit(Daemon { keeps_old: true }, limit).await.unwrap();
+        assert_eq!(tracker.dictionary().ids().collect::<Vec<_>>(), first);
+        for generation in [1, 0, 1] {
+            tracker.follow(generation).await.unwrap();
+            assert!(tracker.dictionary().bytes() <= limit);
+            let columns = if generation == 0 { &OLD } else { &NEW };
+            assert_eq!(tracker.reconstruct(&[0.0, 1.0]).unwrap(), &columns[6..]);
+        }
+        assert_eq!(tracker.dictionary().ids().collect::<Vec<_>>(), second);
+        assert_eq!(tracker.prefetch().await.unwrap(), limit >= 2 * COLUMN);
+        assert!(tracker.dictionary().bytes() <= limit);
+    }
+}
+
+#[tokio::test]
+async fn combinations_are_consistent_or_refused() {
+    let good = || combination(&[(1, 2), (2, 2)], &[0, 3], &[1.0, 0.5, 0.0, 1.0]);
+    let decode = async |arrays| Hostile(arrays).combination::<f32>(0.into()).await;
+    let combined = decode(good()).await.unwrap();
+    assert_eq!((combined.size(), combined.n_columns(), combined.n_vertices()), (2, 4, 2));
+    // Not held, and held of another mesh.
+    let mut dictionary = Dictionary::default();
+    assert!(matches!(dictionary.basis(&combined), Err(Error::Mismatch(_))));
+    for (id, n_vertices) in [(1, 2), (2, 1)] {
+        let shape = vec![2, n_vertices, 3];
+        let data = vec![0.0; 6 * n_vertices];
+        dictionary.insert(id, Array { generation: 0, shape, data });
+    }
+    assert!(matches!(dictionary.reconstruct(&combined, &[0.0; 2]), Err(Error::Mismatch(_))));
+
+    let changed = |name: &str, array: WireArray<'static>| {
+        let mut arrays = good();
+        *arrays.iter_mut().find(|array| array.name == name).unwrap() = array;
+        arrays
+    };
+    let u32s = |name: &'static str, shape: &[usize], data: &[u32]| {
+        changed(name, WireArray::u32(name, shape, data.to_vec()))
+    };
+    for arrays in [
+        u32s(COMBINATION_N_VERTICES, &[2], &[2, 2]),
+        u32s(COMBINATION_BLOCKS, &[1, 2], &[1, 0]),
+        u32s(COMBINATION_BLOCKS, &[2, 2], &[1, 0, 1, 0]),
+        u32s(COMBINATION_BLOCK_SIZES, &[2], &[u32::MAX, 2]),
+        u32s(COMBINATION_BLOCK_SIZES, &[3], &[2, 1, 1]),
+        u32s(COMBINATION_COLUMNS, &[2], &[0, 4]),
+        u32s(COMBINATION_COLUMNS, &[2], &[3, 0]),
+        u32s(COMBINATION_COLUMNS, &[2], &[3, 3]),
+        u32s(COMBINATION_COLUMNS, &[3], &[0, 1, 3]),
+        u32s(COMBINATION_COLUMNS, &[0], &[]),
+        u32s(COMBINATION_PREPARED, &[0, 2], &[]),
+        changed(COMBINATION_W, WireArray::f32(COMBINATION_W, [2, 0], vec![])),
+        changed(COMBINATION_W, WireArray::f32(COMBINATION_W, [2, 4], vec![0.0; 8])),
+        changed(COMBINATION_W, WireArray::f64(COMBINATION_W, [2, 2], vec![0.0; 4])),
+        changed(COMBINATION_COLUMNS, WireArray::f32(COMBINATION_COLUMNS, [2], vec![0.0, 3.0])),
+    ] {
+        let shown = format!("{arrays:?}");
+        assert!(matches!(decode(arrays).await, Err(Error::Decode(_))), "{shown}");
     }
 }
 

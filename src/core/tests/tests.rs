@@ -4,6 +4,7 @@
 mod bodies;
 mod certificates;
 mod closings;
+mod combinations;
 mod full_model;
 mod generations;
 mod lanczos;

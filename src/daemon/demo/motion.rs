@@ -79,7 +79,7 @@ pub(crate) async fn swing_open(
         }
     }
     session.stop_simulation().await.doing("stopping the simulation")?;
-    let displacement = tracker.basis().reconstruct(&furthest.q).doing("reconstructing u = U q")?;
+    let displacement = tracker.reconstruct(&furthest.q).doing("reconstructing u = U q")?;
     Ok((furthest, displacement))
 }
 

@@ -179,7 +179,7 @@ impl Watch {
             self.n_lost += state.sequence.saturating_sub(self.last_sequence + 1);
         }
         self.last_sequence = state.sequence;
-        let from_generation = self.tracker.basis().generation();
+        let from_generation = self.tracker.generation();
         let displacement =
             self.tracker.displacement(&state).await.doing("reconstructing u = U q")?;
         if state.generation != from_generation {

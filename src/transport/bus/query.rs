@@ -22,7 +22,7 @@ use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
 /// The resources that can be asked for.
-const RESOURCES: [Resource; 10] = [
+const RESOURCES: [Resource; 12] = [
     Resource::Edits,
     Resource::Info,
     Resource::Seams,
@@ -30,6 +30,8 @@ const RESOURCES: [Resource; 10] = [
     Resource::Basis,
     Resource::Transfer,
     Resource::Delta,
+    Resource::Combination,
+    Resource::Dictionary,
     Resource::Evaluator,
     Resource::Mass,
     Resource::Positions,
@@ -126,6 +128,8 @@ async fn answer(
         Resource::Basis => array(gateway, id, ArrayKind::Basis, query).await?,
         Resource::Transfer => array(gateway, id, ArrayKind::Transfer, query).await?,
         Resource::Delta => array(gateway, id, ArrayKind::Delta, query).await?,
+        Resource::Combination => array(gateway, id, ArrayKind::Combination, query).await?,
+        Resource::Dictionary => array(gateway, id, ArrayKind::Dictionary, query).await?,
         Resource::Evaluator => array(gateway, id, ArrayKind::Evaluator, query).await?,
         Resource::Mass => array(gateway, id, ArrayKind::Mass, query).await?,
         Resource::Positions => array(gateway, id, ArrayKind::Positions, query).await?,

@@ -59,6 +59,9 @@ async fn queries_are_refused_with_the_problems_of_http() {
         (&format!("{UNKNOWN}/basis?dtype=f16"), Vec::new(), Encoding::default(), 400),
         (&format!("{UNKNOWN}/basis?generation=last"), Vec::new(), Encoding::default(), 400),
         (&format!("{UNKNOWN}/delta?have=0"), Vec::new(), Encoding::default(), 404),
+        (&format!("{UNKNOWN}/combination"), Vec::new(), Encoding::default(), 404),
+        (&format!("{UNKNOWN}/dictionary?blocks=1,2"), Vec::new(), Encoding::default(), 404),
+        (&format!("{UNKNOWN}/dictionary?blocks=1,,2"), Vec::new(), Encoding::default(), 400),
     ];
     for (selector, payload, encoding, status) in cases {
         let shown = format!("{selector} as {encoding}");

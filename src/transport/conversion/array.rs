@@ -2,7 +2,7 @@
 //! the query pool.
 
 use crate::problem::{Kind, Problem};
-use sutura_core::build::Artifacts;
+use sutura_core::build::{Artifacts, BlockName};
 use sutura_core::control::{self, Control};
 use sutura_proto::array::{Array, DType};
 use sutura_proto::frame::Frame;
@@ -17,6 +17,8 @@ pub(crate) enum ArrayKind {
     Basis,
     Transfer,
     Delta,
+    Combination,
+    Dictionary,
     Evaluator,
     Mass,
     Positions,
@@ -26,7 +28,7 @@ impl ArrayKind {
     /// Media types it can travel as, the preferred one first.
     pub(crate) fn offered(self) -> &'static [&'static str] {
         match self {
-            ArrayKind::Delta | ArrayKind::Evaluator => &[media::FRAME],
+            ArrayKind::Delta | ArrayKind::Combination | ArrayKind::Evaluator => &[media::FRAME],
             _ => &[media::NPY, media::FRAME],
         }
     }
@@ -49,15 +51,17 @@ pub(crate) enum Reference {
     Required,
 }
 
-/// `kind` of `generation` (relative to `reference`, where it depends on one) as bytes.
+/// `kind` of `generation` (relative to `reference`, where it depends on one; of `blocks`, where it
+/// consists of some) as bytes.
 pub(crate) fn encode(
     kind: ArrayKind,
     generation: &Generation,
     reference: Option<&Generation>,
+    blocks: &[u64],
     form: ArrayForm,
     control: &dyn Control,
 ) -> Result<Vec<u8>, Problem> {
-    let arrays = assemble(kind, &generation.artifacts, reference, form, control)?;
+    let arrays = assemble(kind, &generation.artifacts, reference, blocks, form, control)?;
     let encoded = match (form.media, &arrays[..]) {
         (media::NPY, [array]) => npy::encode(array).map_err(|error| error.to_string()),
         _ => Frame { generation: generation.number, arrays }
@@ -71,6 +75,7 @@ fn assemble(
     kind: ArrayKind,
     artifacts: &Artifacts,
     reference: Option<&Generation>,
+    blocks: &[u64],
     form: ArrayForm,
     control: &dyn Control,
 ) -> Result<Vec<Array<'static>>, Problem> {
@@ -120,6 +125,22 @@ fn assemble(
                 array(names::DELTA_W, &[old.basis_size() + n, r], &delta.w)?,
             ]
         }
+        ArrayKind::Combination => {
+            let combination = artifacts.basis_combination();
+            let prepared = artifacts.prepared_blocks();
+            let p = combination.columns.len();
+            let used = numbers(combination.columns.iter().copied());
+            vec![
+                Array::u32(names::COMBINATION_N_VERTICES, [1], numbers([n_vertices])),
+                block_ids(names::COMBINATION_BLOCKS, &combination.blocks),
+                block_sizes(names::COMBINATION_BLOCK_SIZES, &combination.blocks),
+                Array::u32(names::COMBINATION_COLUMNS, [p], used),
+                array(names::COMBINATION_W, &[p, r], &combination.w)?,
+                block_ids(names::COMBINATION_PREPARED, &prepared),
+                block_sizes(names::COMBINATION_PREPARED_SIZES, &prepared),
+            ]
+        }
+        ArrayKind::Dictionary => vec![dictionary(artifacts, blocks, form, control)?],
         ArrayKind::Evaluator => {
             let tables = artifacts.evaluator_tables();
             let p = tables.tets.len();
@@ -138,6 +159,46 @@ fn assemble(
             ]
         }
     })
+}
+
+/// The columns of `blocks`, one block after the other.
+fn dictionary(
+    artifacts: &Artifacts,
+    blocks: &[u64],
+    form: ArrayForm,
+    control: &dyn Control,
+) -> Result<Array<'static>, Problem> {
+    let found = blocks.iter().map(|&id| {
+        artifacts.block_columns(id).ok_or_else(|| {
+            let detail = format!("this generation and its body have no block {id}");
+            Problem::new(Kind::NoBlock, detail)
+        })
+    });
+    let found: Vec<_> = found.collect::<Result<_, _>>()?;
+    let n_vertices = artifacts.mesh().vertices().len();
+    let n: usize = found.iter().map(|columns| columns.len()).sum();
+    let mut elements = form.elements(names::DICTIONARY, n * 3 * n_vertices)?;
+    for column in found.into_iter().flatten() {
+        control::check(control).map_err(|_| StoreError::Cancelled)?;
+        elements.extend(names::DICTIONARY, &column)?;
+    }
+    Ok(elements.into_array(names::DICTIONARY, &[n, n_vertices, 3]))
+}
+
+/// Names of blocks: the two halves of each number, the lower one first.
+fn block_ids(name: &'static str, blocks: &[BlockName]) -> Array<'static> {
+    let halves = blocks.iter().flat_map(|block| [block.id as u32, (block.id >> 32) as u32]);
+    Array::u32(name, [blocks.len(), 2], halves.collect::<Vec<u32>>())
+}
+
+/// Columns of each block.
+fn block_sizes(name: &'static str, blocks: &[BlockName]) -> Array<'static> {
+    Array::u32(name, [blocks.len()], numbers(blocks.iter().map(|block| block.n_columns)))
+}
+
+/// Counts, which limits keep far below what 32 bits hold.
+fn numbers(counts: impl IntoIterator<Item = usize>) -> Vec<u32> {
+    counts.into_iter().map(|count| count as u32).collect()
 }
 
 /// How arrays travel.
@@ -221,12 +282,13 @@ mod tests {
             ArrayKind::Modes,
             ArrayKind::Basis,
             ArrayKind::Transfer,
+            ArrayKind::Dictionary,
             ArrayKind::Mass,
             ArrayKind::Positions,
         ] {
             assert_eq!(kind.offered(), [media::NPY, media::FRAME]);
         }
-        for kind in [ArrayKind::Delta, ArrayKind::Evaluator] {
+        for kind in [ArrayKind::Delta, ArrayKind::Combination, ArrayKind::Evaluator] {
             assert_eq!(kind.offered(), [media::FRAME]);
         }
     }

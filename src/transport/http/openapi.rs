@@ -175,6 +175,28 @@ const ROUTES: &[Route] = &[
         SEVERAL,
     ),
     array(
+        "/v1/sessions/{id}/generations/{generation}/combination",
+        "The basis as D · W of named blocks of columns that generations share: names, columns in \
+         use, W, and the names of the blocks prepared for further edits",
+        &[DTYPE],
+        SEVERAL,
+    ),
+    Route {
+        problems: &[
+            Kind::NotReady,
+            Kind::NotAcceptable,
+            Kind::TooLarge,
+            Kind::ImpossibleValue,
+            Kind::NoBlock,
+        ],
+        ..array(
+            "/v1/sessions/{id}/generations/{generation}/dictionary",
+            "The columns of some blocks of a combination: (columns, n_vertices, 3)",
+            &[DTYPE, BLOCKS],
+            SINGLE,
+        )
+    },
+    array(
         "/v1/sessions/{id}/generations/{generation}/evaluator",
         "All that a client needs to evaluate and step the reduced model alone",
         &[DTYPE],
@@ -274,6 +296,8 @@ const SINGLE: &[&str] = &[NPY, FRAME];
 const SEVERAL: &[&str] = &[FRAME];
 const DTYPE: (&str, &str) = ("dtype", "f32 (default) or f64");
 const FROM: (&str, &str) = ("from", "the older generation; by default the previous one");
+const BLOCKS: (&str, &str) =
+    ("blocks", "names of the blocks, between commas, as the combination has them (required)");
 const HAVE: (&str, &str) = ("have", "the older generation that the client holds (required)");
 
 const fn evaluation(path: &'static str) -> Route {

@@ -25,6 +25,14 @@ fn api() -> Vec<(&'static str, MethodRouter<Gateway>)> {
         ),
         ("/v1/sessions/{id}/generations/{generation}/delta", generation::get(ArrayKind::Delta)),
         (
+            "/v1/sessions/{id}/generations/{generation}/combination",
+            generation::get(ArrayKind::Combination),
+        ),
+        (
+            "/v1/sessions/{id}/generations/{generation}/dictionary",
+            generation::get(ArrayKind::Dictionary),
+        ),
+        (
             "/v1/sessions/{id}/generations/{generation}/evaluator",
             generation::get(ArrayKind::Evaluator),
         ),

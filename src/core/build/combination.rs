@@ -1,0 +1,70 @@
+//! The basis of a generation for whoever holds the columns that it shares with others.
+//!
+//! After an edit inside a seam the basis is U = D·W ([`crate::dictionary`]) over columns that every
+//! generation of the base body shares: who has those needs W alone, some hundred rows instead of as
+//! many as the mesh has degrees of freedom. A basis that shares nothing is one block and the identity.
+
+use super::artifacts::Artifacts;
+use crate::dictionary::Block;
+use std::sync::Arc;
+
+/// A block of columns by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BlockName {
+    /// Unique in this process, and never given to other columns.
+    pub id: u64,
+    /// Columns that it has.
+    pub n_columns: usize,
+}
+
+impl BlockName {
+    fn of(block: &Arc<Block>) -> BlockName {
+        BlockName { id: block.id, n_columns: block.columns.ncols() }
+    }
+}
+
+/// U = D·W, without the columns of D that take no part.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BasisCombination {
+    /// The blocks of D, in order.
+    pub blocks: Vec<BlockName>,
+    /// The columns of D that take part, ascending: column `i` of D is the first of the second block if
+    /// the first block has `i` columns.
+    pub columns: Vec<usize>,
+    /// W of those columns, `columns.len()` × r, row-major.
+    pub w: Vec<f64>,
+}
+
+impl Artifacts {
+    /// The basis as a combination of named columns, which [`Artifacts::block_columns`] gives.
+    pub fn basis_combination(&self) -> BasisCombination {
+        let w = self.basis.coefficients();
+        let columns: Vec<usize> =
+            (0..w.nrows()).filter(|&i| w.row(i).iter().any(|x| *x != 0.0)).collect();
+        let rows = columns.iter().flat_map(|&i| w.row(i).iter().copied());
+        BasisCombination {
+            blocks: self.basis.dictionary().blocks().iter().map(BlockName::of).collect(),
+            w: rows.collect(),
+            columns,
+        }
+    }
+
+    /// The blocks that are prepared for further edits now: what bases of later generations are combined
+    /// of while the edits stay inside the seams.
+    pub fn prepared_blocks(&self) -> Vec<BlockName> {
+        let seams = self.prepared.seams();
+        let blocks = self.prepared.x.iter().chain(seams.blocks()).chain(&seams.cases().blocks);
+        blocks.filter(|block| block.columns.ncols() > 0).map(BlockName::of).collect()
+    }
+
+    /// The columns of the block `id` over all vertices, vertex-major (3·n_vertices numbers each, fixed
+    /// ones 0), one after the other, if this generation's basis or its base body has that block.
+    pub fn block_columns(&self, id: u64) -> Option<impl ExactSizeIterator<Item = Vec<f64>> + '_> {
+        let seams = self.prepared.seams();
+        let own = self.basis.dictionary().blocks().iter().chain(&self.prepared.x);
+        let mut all = own.chain(seams.blocks()).chain(&seams.cases().blocks);
+        let block = all.find(|block| block.id == id)?.clone();
+        let n_columns = block.columns.ncols();
+        Some((0..n_columns).map(move |j| self.full_model().expand(block.columns.col_as_slice(j))))
+    }
+}
