@@ -45,6 +45,10 @@ pub trait Scalar:
     const NAME: &'static str;
     /// The elements, if they are of this type.
     fn take(data: Data<'_>) -> Option<Vec<Self>>;
+    /// The same number.
+    fn to_f64(self) -> f64;
+    /// The nearest number of this type.
+    fn nearest(x: f64) -> Self;
 }
 
 mod sealed {
@@ -59,12 +63,24 @@ impl Scalar for f32 {
     fn take(data: Data<'_>) -> Option<Vec<f32>> {
         if let Data::F32(x) = data { Some(x.into_owned()) } else { None }
     }
+    fn to_f64(self) -> f64 {
+        self.into()
+    }
+    fn nearest(x: f64) -> f32 {
+        x as f32
+    }
 }
 
 impl Scalar for f64 {
     const NAME: &'static str = "f64";
     fn take(data: Data<'_>) -> Option<Vec<f64>> {
         if let Data::F64(x) = data { Some(x.into_owned()) } else { None }
+    }
+    fn to_f64(self) -> f64 {
+        self
+    }
+    fn nearest(x: f64) -> f64 {
+        x
     }
 }
 

@@ -38,15 +38,19 @@ pub struct BasisCombination {
 impl Artifacts {
     /// The basis as a combination of named columns, which [`Artifacts::block_columns`] gives.
     pub fn basis_combination(&self) -> BasisCombination {
-        let w = self.basis.coefficients();
-        let columns: Vec<usize> =
-            (0..w.nrows()).filter(|&i| w.row(i).iter().any(|x| *x != 0.0)).collect();
-        let rows = columns.iter().flat_map(|&i| w.row(i).iter().copied());
-        BasisCombination {
-            blocks: self.basis.dictionary().blocks().iter().map(BlockName::of).collect(),
-            w: rows.collect(),
-            columns,
+        let (mut blocks, mut columns, mut w) = (Vec::new(), Vec::new(), Vec::new());
+        let mut first = 0;
+        for (block, rows) in self.basis.even() {
+            for i in 0..rows.nrows() {
+                if rows.row(i).iter().any(|x| *x != 0.0) {
+                    columns.push(first + i);
+                    w.extend(rows.row(i).iter());
+                }
+            }
+            first += rows.nrows();
+            blocks.push(BlockName::of(&block));
         }
+        BasisCombination { blocks, columns, w }
     }
 
     /// The blocks that are prepared for further edits now: what bases of later generations are combined
@@ -61,10 +65,15 @@ impl Artifacts {
     /// ones 0), one after the other, if this generation's basis or its base body has that block.
     pub fn block_columns(&self, id: u64) -> Option<impl ExactSizeIterator<Item = Vec<f64>> + '_> {
         let seams = self.prepared.seams();
-        let own = self.basis.dictionary().blocks().iter().chain(&self.prepared.x);
-        let mut all = own.chain(seams.blocks()).chain(&seams.cases().blocks);
+        let own = self.basis.dictionary().blocks().iter();
+        let own = own.flat_map(|block| std::iter::once(block).chain(block.earlier()));
+        let mut all =
+            own.chain(&self.prepared.x).chain(seams.blocks()).chain(&seams.cases().blocks);
         let block = all.find(|block| block.id == id)?.clone();
-        let n_columns = block.columns.ncols();
-        Some((0..n_columns).map(move |j| self.full_model().expand(block.columns.col_as_slice(j))))
+        let even = block.even_columns();
+        Some((0..block.columns.ncols()).map(move |j| {
+            let columns = even.as_ref().unwrap_or(&block.columns);
+            self.full_model().expand(columns.col_as_slice(j))
+        }))
     }
 }

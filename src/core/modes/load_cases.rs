@@ -70,7 +70,7 @@ impl LoadCases {
         base.remove(&mut solutions);
         let weighted = base.mass.multiply(solutions.as_ref());
         let mut blocks = self.blocks.clone();
-        blocks.push(Block::new(solutions));
+        blocks.push(Block::dependent(solutions, &self.blocks));
         let against = |y: MatRef<'_, f64>| {
             let parts: Vec<Mat<f64>> =
                 blocks.iter().map(|block| linalg::gram(block.columns.as_ref(), y)).collect();
