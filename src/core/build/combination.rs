@@ -3,6 +3,11 @@
 //! After an edit inside a seam the basis is U = D·W ([`crate::dictionary`]) over columns that every
 //! generation of the base body shares: who has those needs W alone, some hundred rows instead of as
 //! many as the mesh has degrees of freedom. A basis that shares nothing is one block and the identity.
+//!
+//! Columns that nearly depend on others are given as even ones
+//! ([`crate::dictionary::Block::dependent`]), so that single precision is enough: of the bodies of the
+//! benchmarks, plant and fork would otherwise be wrong by 7e-6 and 1e-6 of the basis's largest
+//! entry, where now none is by more than 2e-7.
 
 use super::artifacts::Artifacts;
 use crate::dictionary::Block;
