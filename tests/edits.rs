@@ -329,7 +329,7 @@ async fn seams_are_prepared_in_the_background_and_can_be_added_to_an_open_sessio
     prepared(&session, pairs.len()).await;
     let reply = bus.edit(&stitch(added)).await.unwrap();
     assert_eq!(reply.certificate.verdict, Verdict::Patched, "{:?}", reply.certificate);
-    assert!(reply.certificate.is_met);
+    assert!(reply.certificate.lower_eigenvalue_error <= 1e-4, "{:?}", reply.certificate);
     assert!(!reply.timings_ms.stages.contains_key("seams"));
 
     let apart = [pairs[0], [pairs[0][0], pairs[1][1]]];

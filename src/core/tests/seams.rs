@@ -275,19 +275,14 @@ impl Control for Clock {
 }
 
 #[test]
-fn derivatives_that_the_load_cases_do_not_know_are_solved_for_if_there_is_time() {
-    let bar = bar(Cut::HalfDepth);
+fn derivatives_that_the_load_cases_do_not_know_are_told_of() {
+    let bar = bar(Cut::Through);
     let open = prepared(&bar, &params(&bar, 20));
+    let tells =
+        |body: &Artifacts| body.warnings().iter().any(|w| w.contains("derivatives of the open"));
     // All pairs by the stiffness that they were prepared for: nothing is left to know.
     let all = next(&open, &stitch(&bar.pairs, STITCH_N_M), Method::Flexibility);
-    assert_eq!(all.certificate().verdict, Verdict::Patched);
-    let half = stitch(&bar.pairs[..bar.pairs.len() / 2], STITCH_N_M);
-    let first = at_once(&open, &half);
-    assert_eq!(first.certificate().verdict, Verdict::Patched);
-    assert!(first.certificate().is_unfinished);
-    let (second, _) = build::rebuild(&first, &[], &by(Method::Flexibility), &Uncontrolled).unwrap();
-    assert_eq!(second.certificate().verdict, Verdict::Refined);
-    assert!(!second.certificate().is_unfinished);
-    // The modes were right before.
-    assert_eq!(second.eigenvalues_per_s2(), first.eigenvalues_per_s2());
+    assert!(took_no_solve(&all) && !tells(&all), "{:?}", all.warnings());
+    let half = next(&open, &stitch(&bar.pairs[..3], STITCH_N_M), Method::Flexibility);
+    assert!(took_no_solve(&half) && tells(&half), "{:?}", half.warnings());
 }
