@@ -286,22 +286,6 @@ impl Artifacts {
         &self.warnings
     }
 
-    /// Names of the blocks of columns that modes and basis are combinations of.
-    pub fn dictionary_blocks(&self) -> Vec<u64> {
-        let of = |shapes: &Combination| -> Vec<u64> {
-            shapes.dictionary().blocks().iter().map(|block| block.id).collect()
-        };
-        let all: BTreeSet<u64> = of(&self.modes).into_iter().chain(of(&self.basis)).collect();
-        all.into_iter().collect()
-    }
-
-    /// Names of the blocks of columns that every generation of the base body shares.
-    pub fn shared_blocks(&self) -> Vec<u64> {
-        let seams = self.prepared.seams();
-        let blocks = self.prepared.x.iter().chain(seams.blocks()).chain(&seams.cases().blocks);
-        blocks.map(|block| block.id).collect()
-    }
-
     /// Bytes held by this generation, shared parts included.
     pub fn memory_bytes(&self) -> usize {
         let base = &self.prepared;

@@ -242,8 +242,9 @@ pub(super) fn combine(
     }
     // What nothing uses is not part of the dictionary.
     let used = |rows: &Mat<f64>| rows.col_iter().any(|c| c.iter().any(|x| *x != 0.0));
+    let something = rows.iter().any(used);
     let (blocks, rows): (Vec<_>, Vec<_>) =
-        blocks.into_iter().zip(rows).filter(|(_, rows)| used(rows)).unzip();
+        blocks.into_iter().zip(rows).filter(|(_, rows)| used(rows) || !something).unzip();
     let all: Vec<MatRef<'_, f64>> = rows.iter().map(Mat::as_ref).collect();
     Combination::new(Dictionary::new(blocks), linalg::stacked(&all))
 }

@@ -12,7 +12,7 @@ use crate::assembly::mass::Mass;
 use crate::control::{self, Stage};
 use crate::cubature::Rule;
 use crate::derivatives::SOLVE_TOLERANCE;
-use crate::edit::{EditState, sorted};
+use crate::edit::EditState;
 use crate::linalg::{self, DenseError};
 use crate::modes::low_rank::{self, MassInverse};
 use crate::modes::prepared::PreparedStitches;
@@ -88,13 +88,12 @@ fn in_seams(
 ) -> Result<Option<(AuditedSpectrum, usize, Box<PreparedSpan>)>, BuildError> {
     let mut seams = prepared.seams();
     let stitches = state.stitches();
-    if seams.find(stitches).is_none() {
-        let known: std::collections::BTreeSet<_> = seams.pairs().collect();
-        let missing: Vec<[u32; 2]> =
-            stitches.iter().map(|s| sorted(s.pair)).filter(|pair| !known.contains(pair)).collect();
-        if missing.len() > PREPARED_ON_THE_WAY {
-            return Ok(None);
-        }
+    let pairs = stitches.iter().map(|s| s.pair);
+    let missing: Vec<[u32; 2]> = pairs.filter(|pair| seams.position(*pair).is_none()).collect();
+    if missing.len() > PREPARED_ON_THE_WAY {
+        return Ok(None);
+    }
+    if !missing.is_empty() {
         seams = seams::extended(prepared, &seams, &missing, clock.control)?;
         prepared.offer_seams(seams.clone());
         clock.finish(Stage::Seams)?;

@@ -220,6 +220,10 @@ impl<'a> TrialSpace<'a> {
         let Candidate { t, weighted, .. } = candidate;
         let corner_k = linalg::gram(t.as_ref(), stiff.as_ref());
         let corner_m = linalg::gram(t.as_ref(), weighted.as_ref());
+        let bordered = |gram: &Mat<f64>, cross: &Mat<f64>, corner: &Mat<f64>| {
+            let column = linalg::stacked(&[cross.as_ref(), corner.as_ref()]);
+            linalg::bordered_symmetric(gram.as_ref(), column.as_ref())
+        };
         self.gram_k = bordered(&self.gram_k, &inner_k, &corner_k);
         self.gram_m = bordered(&self.gram_m, &inner_m, &corner_m);
         self.extensions.push(Extension { s: t, stiff });
@@ -241,17 +245,6 @@ impl<'a> TrialSpace<'a> {
         });
         Ok((theta, c))
     }
-}
-
-/// \[\[old, cross\], \[crossᵀ, corner\]\].
-fn bordered(old: &Mat<f64>, cross: &Mat<f64>, corner: &Mat<f64>) -> Mat<f64> {
-    let k = old.ncols();
-    Mat::from_fn(k + corner.ncols(), k + corner.ncols(), |i, j| match (i < k, j < k) {
-        (true, true) => old[(i, j)],
-        (true, false) => cross[(i, j - k)],
-        (false, true) => cross[(j, i - k)],
-        (false, false) => corner[(i - k, j - k)],
-    })
 }
 
 /// Computes the modes of the stitched body. `stops_before` a round that refines so many modes takes

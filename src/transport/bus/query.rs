@@ -161,10 +161,7 @@ async fn edit(
     id: SessionId,
     query: &Query,
 ) -> Result<(&'static str, Vec<u8>), Problem> {
-    let form = Form::of(query.encoding())?;
-    let request = form.parse(gateway, query.payload()).await?;
-    let reply = command::edit(gateway, id, request).await?;
-    Ok((form.media(), form.write(&reply)?))
+    exchange(gateway, query, async |request| command::edit(gateway, id, request).await).await
 }
 
 async fn seams(
@@ -172,9 +169,18 @@ async fn seams(
     id: SessionId,
     query: &Query,
 ) -> Result<(&'static str, Vec<u8>), Problem> {
+    exchange(gateway, query, async |request| command::add_seams(gateway, id, request)).await
+}
+
+/// Runs `command` on the document that the query carries and answers in the same form.
+async fn exchange<Request: DeserializeOwned + Send + 'static, Reply: Serialize>(
+    gateway: &Gateway,
+    query: &Query,
+    command: impl AsyncFnOnce(Request) -> Result<Reply, Problem>,
+) -> Result<(&'static str, Vec<u8>), Problem> {
     let form = Form::of(query.encoding())?;
     let request = form.parse(gateway, query.payload()).await?;
-    Ok((form.media(), form.write(&command::add_seams(gateway, id, request)?)?))
+    Ok((form.media(), form.write(&command(request).await?)?))
 }
 
 async fn array(
