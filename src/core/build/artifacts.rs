@@ -68,42 +68,20 @@ pub(super) struct Prepared {
     pub(super) spectrum: AuditedSpectrum,
     /// What a derivative took, its solve above all: to tell what fits before a deadline.
     pub(super) column_time: Duration,
-    /// What is prepared for stitches, beside the load cases of derivatives: a cache that grows.
-    seams: RwLock<Arc<Seams>>,
+    /// What is prepared for stitches, beside the load cases of derivatives.
+    pub(super) seams: SeamCache,
+}
+
+/// Seams that grow while generations use them.
+pub(super) struct SeamCache(RwLock<Arc<Seams>>);
+
+impl SeamCache {
+    pub(super) fn new(seams: Seams) -> SeamCache {
+        SeamCache(RwLock::new(Arc::new(seams)))
+    }
 }
 
 impl Prepared {
-    /// `seams` hold the load cases, and mostly no pairs yet.
-    #[allow(clippy::too_many_arguments)] // each once, at one place
-    pub(super) fn new(
-        params: BuildParams,
-        state: BaseState,
-        model: FullModel,
-        mass: Mass,
-        stiffness: BlockMatrix,
-        factor: SparseCholesky,
-        sigma: f64,
-        x: [Arc<Block>; 2],
-        spectrum: AuditedSpectrum,
-        column_time: Duration,
-        seams: Seams,
-    ) -> Prepared {
-        Prepared {
-            params,
-            state,
-            model,
-            mass,
-            mass_inverse: OnceLock::new(),
-            stiffness,
-            factor,
-            sigma,
-            x,
-            spectrum,
-            column_time,
-            seams: RwLock::new(Arc::new(seams)),
-        }
-    }
-
     /// Rigid modes (n×k).
     pub(super) fn rigid(&self) -> MatRef<'_, f64> {
         self.x[0].columns.as_ref()
@@ -116,19 +94,17 @@ impl Prepared {
 
     /// What is prepared now.
     pub(super) fn seams(&self) -> Arc<Seams> {
-        self.seams.read().unwrap_or_else(PoisonError::into_inner).clone()
+        self.seams.0.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Puts larger seams in place; of two made at the same time the larger stays.
     pub(super) fn offer_seams(&self, seams: Arc<Seams>) {
-        let mut kept = self.seams.write().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = self.seams.0.write().unwrap_or_else(PoisonError::into_inner);
         if (seams.len(), seams.cases().len()) > (kept.len(), kept.cases().len()) {
             *kept = seams;
         }
     }
-}
 
-impl Prepared {
     /// The scale of the body's softest deformation, in 1/s².
     pub(super) fn first_elastic_eigenvalue(&self) -> f64 {
         self.spectrum.eigenvalues.iter().copied().find(|lambda| *lambda > 0.0).unwrap_or(1.0)

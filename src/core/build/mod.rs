@@ -39,14 +39,14 @@ use crate::modes::load_cases::LoadCases;
 use crate::modes::seams::{BaseModes, Seams};
 use crate::modes::stitched::{StitchMatrix, StitchedStiffness};
 use crate::modes::{AuditedSpectrum, LinearModes, rigid};
-use artifacts::Prepared;
+use artifacts::{Prepared, SeamCache};
 use base::base_for;
 use close::closed_shape;
 use derive::{Body, new_derivatives};
 use finish::{Draft, finish};
 use span::{DerivativeSet, Span};
 use spectrum::{Spectrum, lowest_spectrum};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 /// Measures stages with the caller's clock.
@@ -194,19 +194,20 @@ fn prepare(
 
     let spectrum = AuditedSpectrum::converged(modes.eigenvalues, residuals);
     let x = [Block::new(rigid), Block::new(modes.shapes)];
-    let prepared = Arc::new(Prepared::new(
-        params.clone(),
-        state.clone(),
+    let prepared = Arc::new(Prepared {
+        params: params.clone(),
+        state: state.clone(),
         model,
         mass,
+        mass_inverse: OnceLock::new(),
         stiffness,
         factor,
         sigma,
         x,
         spectrum,
         column_time,
-        Seams::new(cases),
-    ));
+        seams: SeamCache::new(Seams::new(cases)),
+    });
     Ok((prepared, set))
 }
 

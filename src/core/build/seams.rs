@@ -38,12 +38,8 @@ pub fn prepare_seams(
         return Ok(());
     }
     let mut clock = StageClock::start(control);
-    let extended = extended(prepared, &seams, &missing, control)?;
+    extend(prepared, &missing, body.stitches(), control)?;
     clock.finish(Stage::Seams)?;
-    let stiffest = body.stitches().iter().map(|s| s.stiffness_n_m).fold(0.0, f64::max);
-    let stiffness_n_m = if stiffest > 0.0 { stiffest } else { CLOSING_STIFFNESS_N_M };
-    let closed = closed(prepared, &extended, stiffness_n_m, control)?;
-    prepared.offer_seams(Arc::new(closed));
     Ok(())
 }
 
@@ -52,14 +48,20 @@ pub fn check_seams(body: &Artifacts, pairs: &[[u32; 2]]) -> Result<(), BuildErro
     params::check_seams(&body.prepared.state, pairs)
 }
 
-/// These seams and `pairs`.
-pub(super) fn extended(
+/// Adds `pairs` to what is prepared, and load cases of the body with all of them closed, as stiffly as
+/// `stitches` tell.
+pub(super) fn extend(
     prepared: &Prepared,
-    seams: &Seams,
     pairs: &[[u32; 2]],
+    stitches: &[Stitch],
     control: &dyn Control,
 ) -> Result<Arc<Seams>, BuildError> {
-    Ok(Arc::new(seams.extended(&base_modes(prepared), pairs, control)?))
+    let extended = prepared.seams().extended(&base_modes(prepared), pairs, control)?;
+    let stiffest = stitches.iter().map(|s| s.stiffness_n_m).fold(0.0, f64::max);
+    let stiffness_n_m = if stiffest > 0.0 { stiffest } else { CLOSING_STIFFNESS_N_M };
+    let seams = Arc::new(closed(prepared, &extended, stiffness_n_m, control)?);
+    prepared.offer_seams(seams.clone());
+    Ok(seams)
 }
 
 /// The base body as seams see it.

@@ -26,8 +26,8 @@ use std::sync::Arc;
 /// but three 4e-7 to 1e-4, half of them 4e-5 to 7e-3.
 const UNEXPLAINED: f64 = 1e-3;
 
-/// Pairs without a seam that an edit makes one for on the way: at three solves a column these take no
-/// more of them than refining modes does.
+/// Pairs without a seam that an edit makes one for on the way: their columns and load cases take no more
+/// solves than refined modes and their derivatives do.
 const PREPARED_ON_THE_WAY: usize = 4;
 
 /// Everything up to the derivatives, to the relative eigenvalue error `tolerance`. `reuse` is the
@@ -94,8 +94,7 @@ fn in_seams(
         return Ok(None);
     }
     if !missing.is_empty() {
-        seams = seams::extended(prepared, &seams, &missing, clock.control)?;
-        prepared.offer_seams(seams.clone());
+        seams = seams::extend(prepared, &missing, stitches, clock.control)?;
         clock.finish(Stage::Seams)?;
     }
     let Some(positions) = seams.find(stitches) else { return Ok(None) };
