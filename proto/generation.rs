@@ -7,6 +7,10 @@
 //! | `basis` | [`BASIS`] | (r, n_vertices, 3) |
 //! | `positions` | [`POSITIONS`] | (n_vertices, 3) |
 //! | `mass` | [`MASS`] | (n_vertices) |
+//! | `tets` | [`TETS`] (u32) | (n_tets, 4) |
+//! | `stitches` | [`STITCHES_PAIRS`] (u32) | (s, 2) |
+//! | | [`STITCHES_IDS`] (u32) | (s, 2) |
+//! | | [`STITCHES_STIFFNESS_N_M`] | (s) |
 //! | `transfer` | [`TRANSFER`] | (r, r of `from`) |
 //! | `delta` | [`DELTA_COLUMNS`] | (c, n_vertices, 3) |
 //! | | [`DELTA_W`] | (r of `have` + c, r) |
@@ -26,8 +30,8 @@
 //! | | [`EVALUATOR_BASIS_ROWS`] | (p, 4, 3, r) |
 //! | | [`EVALUATOR_STITCH_STIFFNESS`] | (r, r) |
 //!
-//! Resources of one array can be had as .npy too; `delta`, `combination` and `evaluator` are frames
-//! only. Query parameters: [`PARAMETER_DTYPE`], [`PARAMETER_FROM`], [`PARAMETER_HAVE`],
+//! Resources of one array can be had as .npy too; `delta`, `combination`, `evaluator` and
+//! `stitches` are frames only. Query parameters: [`PARAMETER_DTYPE`], [`PARAMETER_FROM`], [`PARAMETER_HAVE`],
 //! [`PARAMETER_BLOCKS`], and over Zenoh [`PARAMETER_GENERATION`]. The new basis of a `delta` is
 //! `[basis of have | columns] · w`, column by column.
 //!
@@ -37,10 +41,10 @@
 //! from `dictionary` needs the small `combination` alone. A basis that shares nothing is one block
 //! and the identity.
 //!
-//! A block's name is an unsigned 64-bit number; in arrays its lower and upper 32 bits, so that two
-//! u32 are the bytes of the little-endian u64, and no reader needs a 64-bit integer type. It names the
-//! same columns for as long as the daemon runs and never any others; after a restart names start
-//! anew.
+//! The name of a block or a stitch is an unsigned 64-bit number; in arrays its lower and upper 32
+//! bits, so that two u32 are the bytes of the little-endian u64, and no reader needs a 64-bit integer
+//! type. A block's name stands for the same columns for as long as the daemon runs and never for any
+//! others; after a restart names start anew.
 
 /// `f32` (default) or `f64`: the element type of every array that is not marked u32 above.
 pub const PARAMETER_DTYPE: &str = "dtype";
@@ -64,6 +68,14 @@ pub const BASIS: &str = "basis";
 pub const POSITIONS: &str = "positions";
 /// Lumped masses in kg.
 pub const MASS: &str = "mass";
+/// The four corners of each tet (zero-based).
+pub const TETS: &str = "tets";
+/// The two vertices of each stitch in force (zero-based).
+pub const STITCHES_PAIRS: &str = "pairs";
+/// The names of the stitches, for edits of them.
+pub const STITCHES_IDS: &str = "ids";
+/// Their stiffness in N/m.
+pub const STITCHES_STIFFNESS_N_M: &str = "stiffness_n_m";
 /// q_new = transfer · q_old.
 pub const TRANSFER: &str = "transfer";
 /// Columns that the older basis lacks.

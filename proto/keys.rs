@@ -35,6 +35,10 @@ pub enum Resource {
     Mass,
     /// Queryable: rest positions.
     Positions,
+    /// Queryable: corners of the tets.
+    Tets,
+    /// Queryable: the stitches in force.
+    Stitches,
     /// Publication: [`crate::state::StateFrame`].
     State,
     /// Publication: [`crate::event::GenerationInfo`].
@@ -45,7 +49,7 @@ pub enum Resource {
 
 impl Resource {
     /// Every resource.
-    pub const ALL: [Resource; 15] = [
+    pub const ALL: [Resource; 17] = [
         Resource::Edits,
         Resource::Info,
         Resource::Seams,
@@ -58,6 +62,8 @@ impl Resource {
         Resource::Evaluator,
         Resource::Mass,
         Resource::Positions,
+        Resource::Tets,
+        Resource::Stitches,
         Resource::State,
         Resource::Generation,
         Resource::Forces,
@@ -78,6 +84,8 @@ impl Resource {
             Resource::Evaluator => "evaluator",
             Resource::Mass => "mass",
             Resource::Positions => "positions",
+            Resource::Tets => "tets",
+            Resource::Stitches => "stitches",
             Resource::State => "state",
             Resource::Generation => "generation",
             Resource::Forces => "forces",

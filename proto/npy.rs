@@ -1,4 +1,4 @@
-//! `application/x-npy`: one f32 or f64 array in NumPy's format, version 1.0, row-major.
+//! `application/x-npy`: one array of f32, f64 or u32 in NumPy's format, version 1.0, row-major.
 //!
 //! Source: `numpy.lib.format`. Bytes: `\x93NUMPY`, version 1 0, header length as u16, a Python
 //! dictionary `{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3), }` padded with spaces and
@@ -18,7 +18,7 @@ pub enum NpyError {
     #[error("not a NumPy array file of version 1.0")]
     Magic,
     /// The header cannot be read.
-    #[error("the header is not that of a row-major f32 or f64 array: {0:?}")]
+    #[error("the header is not that of a row-major array of f32, f64 or u32: {0:?}")]
     Header(String),
     /// Shape and elements disagree.
     #[error("the shape {shape:?} and {actual} bytes of elements disagree")]
@@ -28,8 +28,8 @@ pub enum NpyError {
         /// Bytes of elements there are.
         actual: usize,
     },
-    /// Neither f32 nor f64, or too many axes.
-    #[error("only f32 and f64 arrays of at most {MAX_RANK} axes travel as .npy")]
+    /// Too many axes.
+    #[error("only arrays of at most {MAX_RANK} axes travel as .npy")]
     Unsupported,
 }
 
@@ -38,7 +38,7 @@ pub fn encode(array: &Array<'_>) -> Result<Vec<u8>, NpyError> {
     let descr = match array.data.dtype() {
         DType::F32 => "<f4",
         DType::F64 => "<f8",
-        DType::U32 => return Err(NpyError::Unsupported),
+        DType::U32 => "<u4",
     };
     if array.shape.len() > MAX_RANK {
         return Err(NpyError::Unsupported);
@@ -86,6 +86,7 @@ fn parse_header(header: &str) -> Option<(DType, Vec<usize>)> {
     let (dtype, rest) = match rest.split_at_checked(2)? {
         ("f4", rest) => (DType::F32, rest),
         ("f8", rest) => (DType::F64, rest),
+        ("u4", rest) => (DType::U32, rest),
         _ => return None,
     };
     let rest = rest.strip_prefix("', 'fortran_order': False, 'shape': (")?;

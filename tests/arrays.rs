@@ -1,6 +1,6 @@
 //! The arrays of a generation, checked against each other and against the evaluator.
 
-use crate::bodies::{TIP, config, prepared, ready_bar, seam, stitch};
+use crate::bodies::{STIFFNESS_N_M, TIP, bar, config, prepared, ready_bar, seam, stitch};
 use crate::daemon::Daemon;
 use reqwest::header;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -52,6 +52,23 @@ async fn modes_and_basis_are_orthonormal_in_the_lumped_mass() {
             );
         }
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn tets_and_stitches_are_those_that_were_sent() {
+    let daemon = Daemon::start();
+    let session = ready_bar(&daemon).await;
+    let bus = daemon.zenoh_client().await.session(session.id()).unwrap();
+    assert_eq!(session.tets(0.into()).await.unwrap(), bar().tets);
+    assert_eq!(bus.tets(0.into()).await.unwrap(), bar().tets);
+    assert_eq!(session.stitches(0.into()).await.unwrap(), []);
+    let pairs = seam();
+    let reply = session.edit(&stitch(&pairs[..3])).await.unwrap();
+    let stitches = session.stitches(Generation::Current).await.unwrap();
+    assert_eq!(stitches.iter().map(|stitch| stitch.pair).collect::<Vec<_>>(), pairs[..3]);
+    assert_eq!(stitches.iter().map(|stitch| stitch.id).collect::<Vec<_>>(), reply.stitch_ids);
+    assert!(stitches.iter().all(|stitch| stitch.stiffness_n_m == STIFFNESS_N_M));
+    assert_eq!(bus.stitches(1.into()).await.unwrap(), stitches);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -5,7 +5,7 @@ use crate::daemon::Daemon;
 use serde_json::Value;
 use std::collections::BTreeSet;
 
-const ROUTES: [(&str, &[&str]); 25] = [
+const ROUTES: [(&str, &[&str]); 27] = [
     ("/", &["get"]),
     ("/healthz", &["get"]),
     ("/readyz", &["get"]),
@@ -26,6 +26,8 @@ const ROUTES: [(&str, &[&str]); 25] = [
     ("/v1/sessions/{id}/generations/{generation}/evaluator", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/mass", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/positions", &["get"]),
+    ("/v1/sessions/{id}/generations/{generation}/tets", &["get"]),
+    ("/v1/sessions/{id}/generations/{generation}/stitches", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/evaluate", &["post"]),
     ("/v1/sessions/{id}/evaluate", &["post"]),
     ("/v1/sessions/{id}/simulation", &["delete", "get", "put"]),

@@ -141,6 +141,25 @@ pub trait Arrays: Sync {
         }
     }
 
+    /// The four corners of every tet (zero-based).
+    fn tets(&self, generation: Generation) -> impl Future<Output = Result<Vec<[u32; 4]>>> + Send {
+        async move {
+            let bytes = self.frame(query::<f32>(Resource::Tets, generation, None)).await?;
+            rows(&mut Frame::decode(&bytes)?, TETS)
+        }
+    }
+
+    /// The stitches in force.
+    fn stitches(
+        &self,
+        generation: Generation,
+    ) -> impl Future<Output = Result<Vec<StitchInForce>>> + Send {
+        async move {
+            let bytes = self.frame(query::<f64>(Resource::Stitches, generation, None)).await?;
+            StitchInForce::decode(&bytes)
+        }
+    }
+
     /// The basis.
     fn basis<T: Scalar>(
         &self,
@@ -284,6 +303,49 @@ fn take_or_empty<T: Scalar, const RANK: usize>(
     let wanted = || Error::Decode(format!("array {name:?} is {found}, not {} {shape:?}", T::NAME));
     let data = T::take(array.data).filter(|_| fits).ok_or_else(wanted)?;
     Ok(Array { generation, shape: array.shape, data })
+}
+
+/// Takes the u32 array `name` of N columns out of `frame`, row by row.
+fn rows<const N: usize>(frame: &mut Frame<'_>, name: &str) -> Result<Vec<[u32; N]>> {
+    let array = frame.take(name)?;
+    match array.data {
+        Data::U32(numbers) if array.shape.len() == 2 && array.shape[1] == N => {
+            Ok(numbers.as_chunks().0.to_vec())
+        }
+        _ => Err(Error::Decode(format!("array {name:?} is not of u32 in rows of {N}"))),
+    }
+}
+
+/// A stitch in force.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StitchInForce {
+    /// Its name, for edits of it.
+    pub id: u64,
+    /// The two vertices it joins (zero-based).
+    pub pair: [u32; 2],
+    /// Its stiffness in N/m.
+    pub stiffness_n_m: f64,
+}
+
+impl StitchInForce {
+    fn decode(bytes: &[u8]) -> Result<Vec<StitchInForce>> {
+        let mut frame = Frame::decode(bytes)?;
+        let pairs = rows(&mut frame, STITCHES_PAIRS)?;
+        let ids = rows(&mut frame, STITCHES_IDS)?;
+        let n = pairs.len();
+        let stiffness =
+            take_or_empty::<f64, 1>(&mut frame, STITCHES_STIFFNESS_N_M, [Some(n)])?.data;
+        if ids.len() != n {
+            return Err(Error::Decode(format!("{} names for {n} stitches", ids.len())));
+        }
+        let stitches = pairs.into_iter().zip(ids).zip(stiffness);
+        Ok(stitches
+            .map(|((pair, [low, high]), stiffness_n_m)| {
+                let id = u64::from(low) | u64::from(high) << 32;
+                StitchInForce { id, pair, stiffness_n_m }
+            })
+            .collect())
+    }
 }
 
 /// The basis of a generation: u = U q.

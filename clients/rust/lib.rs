@@ -20,7 +20,7 @@ mod tracker;
 
 pub use arrays::{
     Array, Arrays, Basis, BlockName, Combination, Delta, Dictionary, Evaluator, Generation, Query,
-    Scalar, Transfer,
+    Scalar, StitchInForce, Transfer,
 };
 pub use bus::{BusSession, GenerationStream, ZenohClient};
 pub use error::{Error, Result};

@@ -22,7 +22,7 @@ use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
 /// The resources that can be asked for.
-const RESOURCES: [Resource; 12] = [
+const RESOURCES: [Resource; 14] = [
     Resource::Edits,
     Resource::Info,
     Resource::Seams,
@@ -35,6 +35,8 @@ const RESOURCES: [Resource; 12] = [
     Resource::Evaluator,
     Resource::Mass,
     Resource::Positions,
+    Resource::Tets,
+    Resource::Stitches,
 ];
 
 /// The queryables, and the places of the queries under way.
@@ -133,6 +135,8 @@ async fn answer(
         Resource::Evaluator => array(gateway, id, ArrayKind::Evaluator, query).await?,
         Resource::Mass => array(gateway, id, ArrayKind::Mass, query).await?,
         Resource::Positions => array(gateway, id, ArrayKind::Positions, query).await?,
+        Resource::Tets => array(gateway, id, ArrayKind::Tets, query).await?,
+        Resource::Stitches => array(gateway, id, ArrayKind::Stitches, query).await?,
         Resource::State | Resource::Generation | Resource::Forces => {
             return Err(Problem::new(Kind::NoRoute, "this key is no queryable"));
         }

@@ -22,13 +22,18 @@ pub(crate) enum ArrayKind {
     Evaluator,
     Mass,
     Positions,
+    Tets,
+    Stitches,
 }
 
 impl ArrayKind {
     /// Media types it can travel as, the preferred one first.
     pub(crate) fn offered(self) -> &'static [&'static str] {
         match self {
-            ArrayKind::Delta | ArrayKind::Combination | ArrayKind::Evaluator => &[media::FRAME],
+            ArrayKind::Delta
+            | ArrayKind::Combination
+            | ArrayKind::Evaluator
+            | ArrayKind::Stitches => &[media::FRAME],
             _ => &[media::NPY, media::FRAME],
         }
     }
@@ -109,6 +114,22 @@ fn assemble(
             let positions = artifacts.mesh().vertices().as_flattened();
             vec![array(names::POSITIONS, &[n_vertices, 3], positions)?]
         }
+        ArrayKind::Tets => {
+            let tets = artifacts.mesh().tets();
+            form.room(names::TETS, 4 * tets.len(), size_of::<u32>())?;
+            vec![Array::u32(names::TETS, [tets.len(), 4], tets.as_flattened().to_vec())]
+        }
+        ArrayKind::Stitches => {
+            let stitches = artifacts.stitches();
+            let n = stitches.len();
+            let pairs: Vec<u32> = stitches.iter().flat_map(|stitch| stitch.pair).collect();
+            let stiffness: Vec<f64> = stitches.iter().map(|stitch| stitch.stiffness_n_m).collect();
+            vec![
+                Array::u32(names::STITCHES_PAIRS, [n, 2], pairs),
+                id_halves(names::STITCHES_IDS, stitches.iter().map(|stitch| stitch.id)),
+                array(names::STITCHES_STIFFNESS_N_M, &[n], &stiffness)?,
+            ]
+        }
         ArrayKind::Transfer => {
             let old = old()?;
             let transfer = artifacts.transfer_from(old);
@@ -185,10 +206,16 @@ fn dictionary(
     Ok(elements.into_array(names::DICTIONARY, &[n, n_vertices, 3]))
 }
 
-/// Names of blocks: the two halves of each number, the lower one first.
+/// Names of blocks.
 fn block_ids(name: &'static str, blocks: &[BlockName]) -> Array<'static> {
-    let halves = blocks.iter().flat_map(|block| [block.id as u32, (block.id >> 32) as u32]);
-    Array::u32(name, [blocks.len(), 2], halves.collect::<Vec<u32>>())
+    id_halves(name, blocks.iter().map(|block| block.id))
+}
+
+/// The two halves of each number, the lower one first.
+fn id_halves(name: &'static str, ids: impl ExactSizeIterator<Item = u64>) -> Array<'static> {
+    let n = ids.len();
+    let halves: Vec<u32> = ids.flat_map(|id| [id as u32, (id >> 32) as u32]).collect();
+    Array::u32(name, [n, 2], halves)
 }
 
 /// Columns of each block.
@@ -215,13 +242,19 @@ pub(crate) struct ArrayForm {
 impl ArrayForm {
     /// Room for `n` elements, unless they would be too many bytes.
     fn elements(self, name: &str, n: usize) -> Result<Elements, Problem> {
-        let n_bytes = n.saturating_mul(self.dtype.size());
+        self.room(name, n, self.dtype.size())?;
+        Ok(Elements::with_capacity(self.dtype, n))
+    }
+
+    /// Refuses `n` elements of `size` bytes each if they are too many bytes.
+    fn room(self, name: &str, n: usize, size: usize) -> Result<(), Problem> {
+        let n_bytes = n.saturating_mul(size);
         if n_bytes > self.max_bytes {
             let limit = self.max_bytes;
             let detail = format!("{name} has {n_bytes} bytes, at most {limit} are sent at once");
             return Err(Problem::new(Kind::TooLarge, detail));
         }
-        Ok(Elements::with_capacity(self.dtype, n))
+        Ok(())
     }
 }
 
@@ -285,10 +318,13 @@ mod tests {
             ArrayKind::Dictionary,
             ArrayKind::Mass,
             ArrayKind::Positions,
+            ArrayKind::Tets,
         ] {
             assert_eq!(kind.offered(), [media::NPY, media::FRAME]);
         }
-        for kind in [ArrayKind::Delta, ArrayKind::Combination, ArrayKind::Evaluator] {
+        for kind in
+            [ArrayKind::Delta, ArrayKind::Combination, ArrayKind::Evaluator, ArrayKind::Stitches]
+        {
             assert_eq!(kind.offered(), [media::FRAME]);
         }
     }

@@ -214,6 +214,18 @@ const ROUTES: &[Route] = &[
         &[DTYPE],
         SINGLE,
     ),
+    array(
+        "/v1/sessions/{id}/generations/{generation}/tets",
+        "Corners of each tet, u32: (n_tets, 4)",
+        &[DTYPE],
+        SINGLE,
+    ),
+    array(
+        "/v1/sessions/{id}/generations/{generation}/stitches",
+        "The stitches in force: their vertices, their names and their stiffness",
+        &[DTYPE],
+        SEVERAL,
+    ),
     evaluation("/v1/sessions/{id}/generations/{generation}/evaluate"),
     evaluation("/v1/sessions/{id}/evaluate"),
     Route {

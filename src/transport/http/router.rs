@@ -41,6 +41,11 @@ fn api() -> Vec<(&'static str, MethodRouter<Gateway>)> {
             "/v1/sessions/{id}/generations/{generation}/positions",
             generation::get(ArrayKind::Positions),
         ),
+        ("/v1/sessions/{id}/generations/{generation}/tets", generation::get(ArrayKind::Tets)),
+        (
+            "/v1/sessions/{id}/generations/{generation}/stitches",
+            generation::get(ArrayKind::Stitches),
+        ),
         ("/v1/sessions/{id}/generations/{generation}/evaluate", post(evaluate::at_generation)),
         ("/v1/sessions/{id}/evaluate", post(evaluate::at_current)),
         (
