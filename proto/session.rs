@@ -37,6 +37,9 @@ pub struct SessionConfig {
     /// Materials of single domains, by label.
     #[serde(default)]
     pub domain_materials: BTreeMap<i64, MaterialConfig>,
+    /// How many times as stiff each tet is as the material of its domain; empty if all are alike.
+    #[serde(default)]
+    pub tet_stiffness: Vec<f64>,
     /// Vertices that never move (zero-based).
     #[serde(default)]
     pub fixed_vertices: Vec<u32>,
@@ -85,8 +88,16 @@ pub struct MeshConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum MaterialLaw {
+    /// Small-strain linear elasticity: for small rotations only.
+    Linear,
     /// St. Venant–Kirchhoff.
     Stvk,
+    /// Stable neo-Hookean (Smith, De Goes and Kim 2018).
+    NeoHookean,
+    /// Mooney–Rivlin, compressible.
+    MooneyRivlin,
+    /// Corotational linear elasticity.
+    Corotational,
 }
 
 /// A material.
@@ -101,6 +112,9 @@ pub struct MaterialConfig {
     pub poisson_ratio: f64,
     /// Density in kg/m³.
     pub density_kg_m3: f64,
+    /// C₀₁/(C₁₀ + C₀₁), 0 to 1, of a `mooney_rivlin` material. Default: 0.2.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mooney_ratio: Option<f64>,
 }
 
 /// How mass is distributed.
@@ -174,6 +188,7 @@ impl SessionConfig {
             mesh: None,
             material: Some(material),
             domain_materials: BTreeMap::new(),
+            tet_stiffness: Vec::new(),
             fixed_vertices: Vec::new(),
             mass: MassConfig::default(),
             n_modes: default_n_modes(),
@@ -197,6 +212,7 @@ impl SessionConfig {
         for (label, material) in &self.domain_materials {
             material.validate(&format!("/domain_materials/{label}"))?;
         }
+        all_finite("/tet_stiffness", &self.tet_stiffness)?;
         count_within("/n_modes", self.n_modes, 1, MAX_MODES)?;
         count_within("/basis/size", self.basis.size, 1, MAX_BASIS_SIZE)?;
         count_within(
@@ -244,6 +260,17 @@ impl MeshConfig {
 }
 
 impl MaterialConfig {
+    /// St. Venant–Kirchhoff: Young's modulus in Pa, Poisson's ratio, density in kg/m³.
+    pub fn stvk(young_modulus_pa: f64, poisson_ratio: f64, density_kg_m3: f64) -> MaterialConfig {
+        MaterialConfig {
+            law: MaterialLaw::Stvk,
+            young_modulus_pa,
+            poisson_ratio,
+            density_kg_m3,
+            mooney_ratio: None,
+        }
+    }
+
     fn validate(&self, pointer: &str) -> Result<(), Invalid> {
         within(&format!("{pointer}/young_modulus_pa"), self.young_modulus_pa, 1e-30, 1e30)?;
         if !(self.poisson_ratio > -1.0 && self.poisson_ratio < 0.5) {
@@ -251,7 +278,15 @@ impl MaterialConfig {
                 format!("must lie strictly between -1 and 0.5, not {}", self.poisson_ratio);
             return Err(Invalid::new(format!("{pointer}/poisson_ratio"), detail));
         }
-        within(&format!("{pointer}/density_kg_m3"), self.density_kg_m3, 1e-30, 1e30)
+        within(&format!("{pointer}/density_kg_m3"), self.density_kg_m3, 1e-30, 1e30)?;
+        match self.mooney_ratio {
+            Some(_) if self.law != MaterialLaw::MooneyRivlin => Err(Invalid::new(
+                format!("{pointer}/mooney_ratio"),
+                "only mooney_rivlin materials have one",
+            )),
+            Some(ratio) => within(&format!("{pointer}/mooney_ratio"), ratio, 0.0, 1.0),
+            None => Ok(()),
+        }
     }
 }
 

@@ -42,9 +42,16 @@ impl Default for SimulationConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum IntegratorConfig {
-    /// Newmark with β = 1/4, γ = 1/2.
+    /// Newmark with β = 1/4, γ = 1/2: second order, keeps energy.
     #[default]
     ImplicitNewmark,
+    /// Backward Euler: first order, calms fast motion.
+    BackwardEuler,
+    /// Linear modes as exact damped oscillators, for small deformations; grabs and contact act as
+    /// they were at the start of each step.
+    ModalOscillators,
+    /// Static equilibrium at the end of each step: no inertia. For bodies that are held.
+    QuasiStatic,
 }
 
 impl SimulationConfig {

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 use sutura_client::Session;
 use sutura_client::proto::edit::{Edit, EditRequest};
 use sutura_client::proto::session::{
-    BasisConfig, CubatureConfig, MaterialConfig, MaterialLaw, MeshConfig, SessionConfig,
+    BasisConfig, CubatureConfig, MaterialConfig, MeshConfig, SessionConfig,
 };
 
 use crate::daemon::Daemon;
@@ -97,12 +97,7 @@ pub(crate) fn config() -> SessionConfig {
             tolerance: CUBATURE_TOLERANCE,
             seed: 1,
         }),
-        ..SessionConfig::new(MaterialConfig {
-            law: MaterialLaw::Stvk,
-            young_modulus_pa: 5e5,
-            poisson_ratio: 0.4,
-            density_kg_m3: 1000.0,
-        })
+        ..SessionConfig::new(MaterialConfig::stvk(5e5, 0.4, 1000.0))
     }
 }
 

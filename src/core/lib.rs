@@ -18,7 +18,7 @@ pub mod dictionary;
 pub mod edit;
 pub mod factorization;
 pub mod linalg;
-pub mod material;
+pub use sutura_reduced::material;
 pub mod mesh;
 pub mod modes;
 pub mod reduced;

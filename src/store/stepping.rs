@@ -342,7 +342,7 @@ impl Running {
     fn step(&mut self, n_late: u64) -> Result<(), StoreError> {
         let SimulationConfig { params, publish_hz } = self.config;
         self.sum_forces(params.dt_s);
-        let report = self.simulation.step(&self.reduced_force);
+        let report = self.simulation.step(&self.reduced_force, &[]);
         {
             let mut info = self.shared.info();
             info.time_s = self.simulation.time_s();

@@ -92,6 +92,7 @@ fn seam() -> Vec<[u32; 2]> {
 fn params() -> BuildParams {
     BuildParams {
         materials: vec![Material::stvk(1e5, 0.4, 1000.0).unwrap()],
+        tet_stiffness: [].into(),
         fixed_vertices: section(0, 0).chain(section(1, LENGTH)).collect(),
         mass: MassKind::Lumped,
         n_modes: 6,
@@ -568,7 +569,7 @@ async fn a_simulation_that_loses_its_support_ends_and_says_why() {
     let refused = store.put_simulation(id, simulation());
     assert!(matches!(
         refused,
-        Err(StoreError::Simulation(SimulationError::Free { n_rigid_modes: 6 }))
+        Err(StoreError::Simulation(SimulationError::PartlyFree { n_rigid_modes: 6 }))
     ));
     let stitched = store.edit(id, stitch(&seam())).await.unwrap();
     store.put_simulation(id, simulation()).unwrap();
@@ -580,7 +581,7 @@ async fn a_simulation_that_loses_its_support_ends_and_says_why() {
     store.edit(id, unstitch).await.unwrap();
     while next_event(&mut events).await != EventKind::SimulationStopped {}
     let info = store.simulation(id).unwrap();
-    assert!(info.error.unwrap().to_string().contains("rigid modes"));
+    assert!(info.error.unwrap().to_string().contains("rigid motions"));
     let refused = store.push_forces(id, vec![pull(1.0)]);
     assert!(matches!(refused, Err(StoreError::NoSimulation)));
 }

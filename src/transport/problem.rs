@@ -380,6 +380,8 @@ fn build_pointer(error: &BuildError) -> Option<String> {
             Some(format!("/fixed_vertices/{position}"))
         }
         BuildError::NothingFree => Some("/fixed_vertices".to_owned()),
+        BuildError::TetStiffnessCount { .. } => Some("/tet_stiffness".to_owned()),
+        BuildError::TetStiffness { tet, .. } => Some(format!("/tet_stiffness/{tet}")),
         BuildError::OutOfRange { name, .. } | BuildError::BadParameter { name, .. } => {
             parameter_pointer(name).map(str::to_owned)
         }
@@ -405,6 +407,7 @@ fn simulation_pointer(error: &SimulationError) -> Option<String> {
     match error {
         SimulationError::TimeStep(_) => Some("/dt_s".to_owned()),
         SimulationError::Gravity => Some("/gravity_m_s2".to_owned()),
+        SimulationError::NoEquilibrium => Some("/integrator".to_owned()),
         _ => None,
     }
 }
@@ -475,7 +478,7 @@ mod tests {
                 Some("/n_modes"),
             ),
             (StoreError::Input(InputError::Tolerance(-1.0)), 422, Some("/tolerance")),
-            (StoreError::Simulation(SimulationError::Free { n_rigid_modes: 6 }), 422, None),
+            (StoreError::Simulation(SimulationError::PartlyFree { n_rigid_modes: 6 }), 422, None),
             (StoreError::Failed { what: "build" }, 500, None),
         ];
         for (error, status, pointer) in cases {

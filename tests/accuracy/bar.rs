@@ -53,6 +53,7 @@ impl Case {
         assert_eq!(pairs.len(), N_STITCHES);
         let params = BuildParams {
             materials: vec![Material::stvk(5e5, 0.4, 1000.0).unwrap()],
+            tet_stiffness: [].into(),
             fixed_vertices: bar.root.clone(),
             mass: MassKind::Lumped,
             n_modes: 30,

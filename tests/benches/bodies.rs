@@ -71,6 +71,7 @@ impl Body {
     pub(crate) fn session(&self, seams: &[[u32; 2]]) -> BuildParams {
         BuildParams {
             materials: self.materials.clone(),
+            tet_stiffness: [].into(),
             fixed_vertices: self.fixed.clone(),
             mass: MassKind::Lumped,
             n_modes: 30,

@@ -1,19 +1,14 @@
 //! Opens a session on a mesh file, closes an incision, pulls on a vertex and watches it move.
 
 use sutura_client::proto::edit::{Edit, EditRequest};
-use sutura_client::proto::session::{MaterialConfig, MaterialLaw, SessionConfig};
+use sutura_client::proto::session::{MaterialConfig, SessionConfig};
 use sutura_client::proto::simulation::{Force, SimulationConfig};
 use sutura_client::{Client, Tracker};
 
 #[tokio::main]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let client = Client::connect("http://127.0.0.1:8080").await?;
-    let mut config = SessionConfig::new(MaterialConfig {
-        law: MaterialLaw::Stvk,
-        young_modulus_pa: 5e5,
-        poisson_ratio: 0.4,
-        density_kg_m3: 1000.0,
-    });
+    let mut config = SessionConfig::new(MaterialConfig::stvk(5e5, 0.4, 1000.0));
     config.fixed_vertices = vec![0, 1, 2];
     let mesh = std::fs::read("organ.msh")?;
     let session = client.create_from_file("organ.msh", mesh, &config).await?;

@@ -1,6 +1,7 @@
 //! The arithmetic of one tet for eight vectors, or pairs of vectors, at a time.
 
 use super::tiles::{Element, LANES, Partner, Row, Tile};
+use crate::material::{Elasticity, Hyperelastic, Law, Mat3};
 use pulp::{Simd, WithSimd};
 
 /// Displacement gradient (by rows) and symmetric stress (xx, yy, zz, yz, zx, xy) of [`LANES`] vectors at
@@ -127,9 +128,12 @@ fn scatter<S: Simd>(
     }
 }
 
-/// Internal forces, P = F S(E) as in [`crate::material::stvk::stress`].
+/// Internal forces: P = F S(E) of [`crate::material::stvk`] by lanes, other laws one lane after the other.
 pub(super) struct Forces<'a> {
     pub(super) tile: Tile<'a>,
+    /// Tet by tet of the mesh.
+    pub(super) elasticities: &'a [Elasticity],
+    pub(super) volumes_m3: &'a [f64],
     pub(super) x: &'a [Vec<Row>],
     pub(super) sums: &'a mut [Row],
 }
@@ -141,6 +145,28 @@ impl WithSimd for Forces<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let n_groups = self.x.len();
         for element in self.tile.elements {
+            if element.law != Law::StVenantKirchhoff {
+                let tet = element.tet as usize;
+                let (elasticity, volume_m3) = (&self.elasticities[tet], self.volumes_m3[tet]);
+                for group in 0..n_groups {
+                    let mut p = [[0.0; LANES]; 9];
+                    for part in 0..LANES / S::F64_LANES {
+                        let d = gradient(simd, element, &self.x[group], part);
+                        for k in 0..9 {
+                            store::<S>(&mut p[k], part, d[k]);
+                        }
+                    }
+                    stresses(elasticity, volume_m3, &mut p);
+                    for part in 0..LANES / S::F64_LANES {
+                        let mut lanes = [simd.splat_f64s(0.0); 9];
+                        for k in 0..9 {
+                            lanes[k] = load::<S>(&p[k], part);
+                        }
+                        scatter(simd, element, &lanes, self.sums, [n_groups, group], part);
+                    }
+                }
+                continue;
+            }
             for group in 0..n_groups {
                 for part in 0..LANES / S::F64_LANES {
                     let d = gradient(simd, element, &self.x[group], part);
@@ -161,7 +187,22 @@ impl WithSimd for Forces<'_> {
     }
 }
 
-/// D²P(0)[A, B] as in [`crate::material::stvk::stress_second_derivative_at_rest`].
+/// V·P in place of the displacement gradients of some lanes.
+pub(crate) fn stresses<const N: usize>(
+    elasticity: &Elasticity,
+    volume_m3: f64,
+    lanes: &mut [[f64; N]; 9],
+) {
+    for lane in 0..N {
+        let d = Mat3::from_fn(|i, j| lanes[3 * i + j][lane]);
+        let p = elasticity.stress(&d) * volume_m3;
+        for (k, entry) in lanes.iter_mut().enumerate() {
+            entry[lane] = p[(k / 3, k % 3)];
+        }
+    }
+}
+
+/// D²P(0)[A, B] as in [`crate::material::AtRest::stress_second_derivative`].
 pub(super) struct SecondDerivatives<'a> {
     pub(super) tile: Tile<'a>,
     pub(super) scale: f64,
@@ -183,9 +224,15 @@ impl WithSimd for SecondDerivatives<'_> {
         let mut a: Field = [[0.0; 2 * LANES]; 15];
         let mut b: Field = [[0.0; 2 * LANES]; 15];
         for element in self.tile.elements {
+            if element.law == Law::Linear {
+                continue;
+            }
+            let [cubic, mixed, product] = element.third_order;
+            let third_order = [self.scale * cubic, self.scale * mixed, self.scale * product];
             let element = &Element {
                 volume_lambda: self.scale * element.volume_lambda,
                 volume_mu: self.scale * element.volume_mu,
+                third_order,
                 ..*element
             };
             field(simd, element, self.a, &mut a);
@@ -212,7 +259,10 @@ impl WithSimd for SecondDerivatives<'_> {
                             }
                         }
                     }
-                    let p = second_derivative(simd, element, &left, &right);
+                    let mut p = second_derivative(simd, element, &left, &right);
+                    if element.law != Law::StVenantKirchhoff {
+                        add_third_order(simd, element, &left, &right, &mut p);
+                    }
                     scatter(simd, element, &p, self.sums, [n_groups, group], part);
                 }
             }
@@ -276,4 +326,56 @@ fn second_derivative<S: Simd>(
     add_product(simd, &mut p, a, sb);
     add_product(simd, &mut p, b, sa);
     p
+}
+
+/// Adds V·(2a tr A tr B I + 2b (tr(AB) I + tr(A) B + tr(B) A) + c (AB + BA)), A and B being the symmetric parts of
+/// the gradients.
+#[inline(always)]
+fn add_third_order<S: Simd>(
+    simd: S,
+    element: &Element,
+    left: &[S::f64s; 15],
+    right: &[S::f64s; 15],
+    p: &mut Matrix<S>,
+) {
+    let ([a @ .., _, _, _, _, _, _], [b @ .., _, _, _, _, _, _]) = (left, right);
+    let (a, b) = (twice_symmetric(simd, a), twice_symmetric(simd, b));
+    // Both are twice the strain: a quarter of every product.
+    let [cubic, mixed, product] = element.third_order;
+    let half_cubic = simd.splat_f64s(0.5 * cubic);
+    let half_mixed = simd.splat_f64s(0.5 * mixed);
+    let quarter_product = simd.splat_f64s(0.25 * product);
+    let trace_a = simd.add_f64s(simd.add_f64s(a[0], a[1]), a[2]);
+    let trace_b = simd.add_f64s(simd.add_f64s(b[0], b[1]), b[2]);
+    let zero = simd.splat_f64s(0.0);
+    let mut both = [zero; 9];
+    for i in 0..3 {
+        for j in 0..3 {
+            for k in 0..3 {
+                both[3 * i + j] =
+                    simd.mul_add_f64s(a[COMPONENT[i][k]], b[COMPONENT[k][j]], both[3 * i + j]);
+            }
+        }
+    }
+    let trace_both = simd.add_f64s(simd.add_f64s(both[0], both[4]), both[8]);
+    let isotropic = simd.mul_add_f64s(
+        half_cubic,
+        simd.mul_f64s(trace_a, trace_b),
+        simd.mul_f64s(half_mixed, trace_both),
+    );
+    let (scaled_a, scaled_b) =
+        (simd.mul_f64s(half_mixed, trace_b), simd.mul_f64s(half_mixed, trace_a));
+    for i in 0..3 {
+        for j in 0..3 {
+            let at = COMPONENT[i][j];
+            let mut sum = simd.mul_f64s(scaled_a, a[at]);
+            sum = simd.mul_add_f64s(scaled_b, b[at], sum);
+            let pair = simd.add_f64s(both[3 * i + j], both[3 * j + i]);
+            sum = simd.mul_add_f64s(quarter_product, pair, sum);
+            if i == j {
+                sum = simd.add_f64s(sum, isotropic);
+            }
+            p[3 * i + j] = simd.add_f64s(p[3 * i + j], sum);
+        }
+    }
 }

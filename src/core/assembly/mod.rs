@@ -5,11 +5,12 @@
 //! energies in J.
 
 mod kernels;
+pub(crate) use kernels::stresses;
 pub mod mass;
 pub mod sparse;
 pub mod tiles;
 
-use crate::material::{Material, stvk};
+use crate::material::{Elasticity, Hyperelastic, Law, Material, stvk};
 use crate::mesh::{NO_COMPONENT, TetMesh};
 use faer::{Mat, MatRef};
 use mass::{Mass, MassKind};
@@ -32,7 +33,7 @@ pub struct FullModel {
     /// Gradients of the four shape functions of each tet, 1/m.
     gradients: Vec<[[f64; 3]; 4]>,
     volumes_m3: Vec<f64>,
-    lame: Vec<[f64; 2]>,
+    elasticities: Vec<Elasticity>,
     density_kg_m3: Vec<f64>,
     /// Free index of each vertex, or [`NOT_FREE`].
     free_of_vertex: Vec<u32>,
@@ -47,6 +48,16 @@ pub struct FullModel {
 impl FullModel {
     /// `materials` has one entry for each domain of the mesh; `fixed` lists valid vertices.
     pub fn new(mesh: Arc<TetMesh>, materials: &[Material], fixed: &[u32]) -> FullModel {
+        FullModel::heterogeneous(mesh, materials, &[], fixed)
+    }
+
+    /// The same with each tet `tet_stiffness` times as stiff as its domain's material (empty: all alike).
+    pub fn heterogeneous(
+        mesh: Arc<TetMesh>,
+        materials: &[Material],
+        tet_stiffness: &[f64],
+        fixed: &[u32],
+    ) -> FullModel {
         let x = |v: u32| Vector3::from(mesh.vertices()[v as usize]);
         let (gradients, volumes_m3): (Vec<_>, Vec<_>) = mesh
             .tets()
@@ -68,7 +79,9 @@ impl FullModel {
             .unzip();
         let of_tet = |t: usize| &materials[mesh.domain_of_tet()[t] as usize];
         let n_tets = mesh.tets().len();
-        let lame: Vec<[f64; 2]> = (0..n_tets).map(|t| of_tet(t).lame().into()).collect();
+        let factor = |t: usize| tet_stiffness.get(t).copied().unwrap_or(1.0);
+        let elasticities: Vec<Elasticity> =
+            (0..n_tets).map(|t| of_tet(t).elasticity(factor(t))).collect();
         let density_kg_m3 = (0..n_tets).map(|t| of_tet(t).density_kg_m3()).collect();
 
         let mut free: Vec<bool> =
@@ -89,7 +102,7 @@ impl FullModel {
             &corners,
             &gradients,
             &volumes_m3,
-            &lame,
+            &elasticities,
             &morton_order(&mesh),
         );
         let of_elements = tiles.elements().iter().map(|element| &element.corners);
@@ -98,7 +111,7 @@ impl FullModel {
             mesh,
             gradients,
             volumes_m3,
-            lame,
+            elasticities,
             density_kg_m3,
             free_of_vertex,
             free_vertices,
@@ -137,9 +150,9 @@ impl FullModel {
     pub fn volumes_m3(&self) -> &[f64] {
         &self.volumes_m3
     }
-    /// Lamé's constants of each tet in Pa.
-    pub fn lame(&self) -> &[[f64; 2]] {
-        &self.lame
+    /// The material of each tet.
+    pub fn elasticities(&self) -> &[Elasticity] {
+        &self.elasticities
     }
 
     /// Spreads a vector over the free degrees of freedom to all vertices; the others get 0.
@@ -253,7 +266,8 @@ impl FullModel {
                 let d = self.displacement_gradient(tet, u);
                 let f = d + Matrix3::identity();
                 let g = self.gradients[tet].map(Vector3::from);
-                let s = stvk::second_stress(&stvk::green_strain(&d), self.lame[tet]);
+                let lame = self.elasticities[tet].lame;
+                let s = stvk::second_stress(&stvk::green_strain(&d), lame);
                 let sg = g.map(|g| s * g * self.volumes_m3[tet]);
                 Deformed {
                     gradients: g.map(|g| (f * g).into()),
@@ -266,6 +280,9 @@ impl FullModel {
         self.for_each_row(pattern, &mut blocks, |at, a| {
             let (element, Deformed { gradients: h, shear, pull }) =
                 (&self.tiles.elements()[at], &deformed[at]);
+            if element.law != Law::StVenantKirchhoff {
+                return self.tangent_row(element.tet as usize, a, u);
+            }
             let (g, lame) = (element.gradients(), [element.volume_lambda, element.volume_mu]);
             // K_ab = V [λ hₐh_bᵀ + μ h_bhₐᵀ + μ gₐ·g_b FFᵀ + (gₐᵀ S g_b) I] with h = Fg.
             let mut row = [ZERO_BLOCK; 4];
@@ -287,12 +304,34 @@ impl FullModel {
     /// Internal force +∂Ψ/∂u at `u` (n numbers).
     pub fn internal_force(&self, u: &[f64]) -> Vec<f64> {
         let u = MatRef::from_column_major_slice(u, u.len(), 1);
-        self.tiles.internal_forces(u).col_as_slice(0).to_vec()
+        self.internal_forces(u).col_as_slice(0).to_vec()
     }
 
     /// Internal force +∂Ψ/∂u at each column of `u` (n×t).
     pub fn internal_forces(&self, u: MatRef<'_, f64>) -> Mat<f64> {
-        self.tiles.internal_forces(u)
+        self.tiles.internal_forces(u, &self.elasticities, &self.volumes_m3)
+    }
+
+    /// Row a of the tangent stiffness of a tet of any law: V Σ_jl g_a[j] ∂P_ij/∂F_kl g_b[l]. The stress's
+    /// derivative is made for each of the four rows anew: kept, it would take 650 bytes a tet.
+    fn tangent_row(&self, tet: usize, a: usize, u: &[f64]) -> [PaddedBlock; 4] {
+        let c = self.elasticities[tet].stress_derivative(&self.displacement_gradient(tet, u));
+        let (g, volume_m3) = (&self.gradients[tet], self.volumes_m3[tet]);
+        let mut row = [ZERO_BLOCK; 4];
+        for (block, g_b) in row.iter_mut().zip(g) {
+            for i in 0..3 {
+                for k in 0..3 {
+                    let mut sum = 0.0;
+                    for j in 0..3 {
+                        for l in 0..3 {
+                            sum += g[a][j] * c[3 * i + j][3 * k + l] * g_b[l];
+                        }
+                    }
+                    block[i][k] = volume_m3 * sum;
+                }
+            }
+        }
+        row
     }
 
     /// Strain energy at `u`, summed in a fixed order.
@@ -300,8 +339,8 @@ impl FullModel {
         let parts: Vec<f64> = (0..self.corners.len())
             .into_par_iter()
             .map(|tet| {
-                stvk::energy_density(&self.displacement_gradient(tet, u), self.lame[tet])
-                    * self.volumes_m3[tet]
+                let d = self.displacement_gradient(tet, u);
+                self.elasticities[tet].energy_density(&d) * self.volumes_m3[tet]
             })
             .collect();
         parts.iter().sum()
@@ -400,7 +439,7 @@ impl FullModel {
     pub fn bytes(&self) -> usize {
         size_of_val(&self.gradients[..])
             + size_of_val(&self.volumes_m3[..]) * 2
-            + size_of_val(&self.lame[..])
+            + size_of_val(&self.elasticities[..])
             + size_of_val(&self.corners[..]) * 2
             + self.incidence.bytes()
             + self.tiles.bytes()

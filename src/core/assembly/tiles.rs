@@ -11,6 +11,7 @@
 
 use super::NOT_FREE;
 use super::kernels::{Forces, SecondDerivatives};
+use crate::material::{Elasticity, Hyperelastic, Law};
 use faer::{Mat, MatRef};
 use rayon::prelude::*;
 
@@ -46,6 +47,10 @@ pub struct Element {
     pub volume_lambda: f64,
     /// Vμ in N·m.
     pub volume_mu: f64,
+    /// The law of its material.
+    pub law: Law,
+    /// V times the third-order constants of [`crate::material::AtRest`], in N·m.
+    pub(super) third_order: [f64; 3],
 }
 
 impl Element {
@@ -84,14 +89,16 @@ impl ElementTiles {
         corners: &[[u32; 4]],
         gradients: &[[[f64; 3]; 4]],
         volumes_m3: &[f64],
-        lame: &[[f64; 2]],
+        elasticities: &[Elasticity],
         order: &[u32],
     ) -> ElementTiles {
         let mut elements: Vec<Element> = order
             .par_iter()
             .map(|&tet| {
                 let t = tet as usize;
-                let ([lame_lambda, lame_mu], [_, g1, g2, g3]) = (lame[t], gradients[t]);
+                let (Elasticity { law, lame: [lame_lambda, lame_mu], .. }, [_, g1, g2, g3]) =
+                    (elasticities[t], gradients[t]);
+                let third_order = elasticities[t].at_rest().third_order;
                 Element {
                     tet,
                     corners: corners[t],
@@ -99,6 +106,8 @@ impl ElementTiles {
                     gradients: [g1, g2, g3],
                     volume_lambda: volumes_m3[t] * lame_lambda,
                     volume_mu: volumes_m3[t] * lame_mu,
+                    law,
+                    third_order: third_order.map(|x| volumes_m3[t] * x),
                 }
             })
             .collect();
@@ -173,8 +182,13 @@ impl ElementTiles {
         order
     }
 
-    /// Internal force of each column of `u` (n×t), in N.
-    pub fn internal_forces(&self, u: MatRef<'_, f64>) -> Mat<f64> {
+    /// Internal force of each column of `u` (n×t), in N; materials and volumes tet by tet of the mesh.
+    pub fn internal_forces(
+        &self,
+        u: MatRef<'_, f64>,
+        elasticities: &[Elasticity],
+        volumes_m3: &[f64],
+    ) -> Mat<f64> {
         let columns: Vec<usize> = (0..u.ncols()).collect();
         let groups: Vec<Vec<Option<usize>>> = columns
             .chunks(LANES)
@@ -188,7 +202,8 @@ impl ElementTiles {
                 let x: Vec<Vec<Row>> = (0..n_groups)
                     .map(|group| tile.gather(u, (batch * MOST_GROUPS + group) * LANES))
                     .collect();
-                pulp::Arch::new().dispatch(Forces { tile, x: &x, sums });
+                let forces = Forces { tile, elasticities, volumes_m3, x: &x, sums };
+                pulp::Arch::new().dispatch(forces);
             });
             self.add_up(&rows, groups, &mut all);
         }

@@ -17,7 +17,8 @@ use crate::modes::AuditedSpectrum;
 use crate::modes::low_rank::MassInverse;
 use crate::modes::seams::Seams;
 use crate::modes::stitched::StitchMatrix;
-use crate::reduced::{self, Evaluation, EvaluatorTables, ReducedModel};
+use crate::reduced::contact::ContactSurface;
+use crate::reduced::{self, Evaluation, EvaluatorTables, ReducedModel, VertexRows};
 use faer::{Mat, MatRef};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, OnceLock, PoisonError, RwLock, Weak};
@@ -316,6 +317,15 @@ impl Artifacts {
     pub fn vertex_load(&self, vertex: u32, force_n: [f64; 3]) -> Vec<f64> {
         let dot = |row: &[f64; 3]| row.iter().zip(force_n).map(|(u, f)| u * f).sum();
         self.basis_rows(vertex).iter().map(dot).collect()
+    }
+    /// A vertex in the subspace, as simulations pull at it.
+    pub fn vertex_rows(&self, vertex: u32) -> VertexRows {
+        let rest_m = self.mesh().vertices()[vertex as usize];
+        VertexRows { rest_m, rows: self.basis_rows(vertex) }
+    }
+    /// The surface in the subspace, for contact. Takes as long as a column of the basis for each of them.
+    pub fn contact_surface(&self) -> ContactSurface {
+        reduced::contact_surface(&self.prepared.model, &self.basis)
     }
     /// The evaluator as plain arrays, for a client that steps on its own.
     pub fn evaluator_tables(&self) -> EvaluatorTables {

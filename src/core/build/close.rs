@@ -72,7 +72,8 @@ pub(super) fn closed_shape(
     let mesh = base.mesh();
     let fixed: Vec<u32> = base.fixed_vertices().iter().copied().collect();
     let materials = params::scaled_materials(base, &prepared.params)?;
-    let model = FullModel::new(mesh.clone(), &materials, &fixed);
+    let tet_stiffness = &prepared.params.tet_stiffness;
+    let model = FullModel::heterogeneous(mesh.clone(), &materials, tet_stiffness, &fixed);
     let stitched = state.stitches().iter().map(|stitch| stitch.pair);
     let all: Vec<[u32; 2]> = pairs.iter().copied().chain(stitched).collect();
     let closed_m = allowed_m.min(COINCIDENCE_RATIO * mesh.diagonal());

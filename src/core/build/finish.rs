@@ -12,7 +12,7 @@ use crate::dictionary::Combination;
 use crate::edit::EditState;
 use crate::linalg;
 use crate::modes::AuditedSpectrum;
-use crate::reduced::ReducedModel;
+use crate::reduced;
 use std::sync::Arc;
 
 /// Poses for validation: this share of the training poses, and at least so many.
@@ -99,13 +99,18 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
     };
     clock.finish(Stage::Cubature)?;
 
-    let model = ReducedModel::new(
+    // The six rigid motions of a body that nothing holds are those of the whole.
+    let is_free = draft.n_rigid_modes == 6 && state.base().fixed_vertices().is_empty();
+    let free = is_free
+        .then(|| Arc::new(reduced::free_body(&prepared.model, &prepared.mass, basis.dense())));
+    let model = reduced::reduced_model(
         &prepared.model,
         &rule,
         basis,
         stretch.as_ref(),
         params.damping,
         draft.n_rigid_modes,
+        free,
     );
     clock.finish(Stage::Reduction)?;
     Ok(Artifacts {

@@ -140,7 +140,8 @@ fn prepare(
 ) -> Result<(Arc<Prepared>, DerivativeSet), BuildError> {
     let materials = params::scaled_materials(state, params)?;
     let fixed: Vec<u32> = state.fixed_vertices().iter().copied().collect();
-    let model = FullModel::new(state.mesh().clone(), &materials, &fixed);
+    let mesh = state.mesh().clone();
+    let model = FullModel::heterogeneous(mesh, &materials, &params.tet_stiffness, &fixed);
     if model.n() == 0 {
         return Err(BuildError::NothingFree);
     }

@@ -13,6 +13,7 @@ use crate::material::Material;
 use crate::mesh::TetMesh;
 use crate::modes::ModesError;
 use crate::reduced::RayleighDamping;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Cubature training (\[M16\] §4.3).
@@ -37,6 +38,8 @@ pub struct CubatureParams {
 pub struct BuildParams {
     /// One material for each entry of [`TetMesh::domains`].
     pub materials: Vec<Material>,
+    /// Stiffness of each tet relative to its domain's material; empty if all are alike.
+    pub tet_stiffness: Arc<[f64]>,
     /// Vertices that never move.
     pub fixed_vertices: Vec<u32>,
     /// Lumped or consistent.
@@ -105,6 +108,10 @@ pub enum BuildError {
     NothingFree,
     #[error("{given} materials for {n_domains} domains")]
     MaterialCount { given: usize, n_domains: usize },
+    #[error("tet_stiffness has {given} entries for {n_tets} tets")]
+    TetStiffnessCount { given: usize, n_tets: usize },
+    #[error("tet_stiffness entry {tet} is {value:e}, but must be between {low:e} and {high:e}")]
+    TetStiffness { tet: usize, value: f64, low: f64, high: f64 },
     #[error("{name} is {value}, but must be between {low} and {high}")]
     OutOfRange { name: &'static str, value: usize, low: usize, high: usize },
     #[error("{name} is {value}, but must be {rule}")]
@@ -177,6 +184,16 @@ pub(super) fn check(mesh: &TetMesh, params: &BuildParams) -> Result<(), BuildErr
     let n_domains = mesh.domains().len();
     if params.materials.len() != n_domains {
         return Err(BuildError::MaterialCount { given: params.materials.len(), n_domains });
+    }
+    let n_tets = mesh.tets().len();
+    if !params.tet_stiffness.is_empty() && params.tet_stiffness.len() != n_tets {
+        return Err(BuildError::TetStiffnessCount { given: params.tet_stiffness.len(), n_tets });
+    }
+    let [low, high] = edit::STIFFNESS_FACTOR_RANGE;
+    let beyond = |value: &f64| !(low..=high).contains(value);
+    if let Some(tet) = params.tet_stiffness.iter().position(beyond) {
+        let value = params.tet_stiffness[tet];
+        return Err(BuildError::TetStiffness { tet, value, low, high });
     }
     let at_least_one = |name, value: usize| match value {
         0 => Err(BuildError::OutOfRange { name, value, low: 1, high: usize::MAX }),

@@ -1,8 +1,10 @@
 //! Stresses of eight poses at a time: the poses of a body share its tets, so eight of them are stored
 //! side by side, one lane a pose.
 
+use crate::assembly::stresses;
 use crate::assembly::{FullModel, NOT_FREE};
 use crate::linalg;
+use crate::material::{Elasticity, Law};
 use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
 
@@ -37,7 +39,7 @@ impl PoseBlock {
                 for (tet, corners) in model.corners().iter().enumerate() {
                     let gradients = &model.gradients()[tet];
                     let d = self.displacement_gradient(corners, gradients);
-                    let p = stress(&d, model.lame()[tet], model.volumes_m3()[tet]);
+                    let p = stress(&d, &model.elasticities()[tet], model.volumes_m3()[tet]);
                     let v = other.displacement_gradient(corners, gradients);
                     let mut sum: Lanes = [0.0; LANES];
                     for (p, v) in p.iter().zip(&v) {
@@ -72,9 +74,16 @@ impl PoseBlock {
     }
 }
 
-/// Volume times the first Piola–Kirchhoff stress: [`crate::material::stvk::stress`] by lanes.
+/// Volume times the first Piola–Kirchhoff stress: [`crate::material::stvk`] by lanes, other laws one lane
+/// after the other.
 #[inline(always)]
-pub(super) fn stress(d: &LaneMatrix, [lambda, mu]: [f64; 2], volume_m3: f64) -> LaneMatrix {
+pub(super) fn stress(d: &LaneMatrix, elasticity: &Elasticity, volume_m3: f64) -> LaneMatrix {
+    if elasticity.law != Law::StVenantKirchhoff {
+        let mut p = *d;
+        stresses(elasticity, volume_m3, &mut p);
+        return p;
+    }
+    let [lambda, mu] = elasticity.lame;
     const UPPER: [[usize; 2]; 6] = [[0, 0], [1, 1], [2, 2], [0, 1], [0, 2], [1, 2]];
     let mut s = [[0.0; LANES]; 9];
     let mut trace: Lanes = [0.0; LANES];
@@ -116,22 +125,24 @@ pub(super) fn stress(d: &LaneMatrix, [lambda, mu]: [f64; 2], volume_m3: f64) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::material::{Material, stvk};
+    use crate::material::{Hyperelastic, Law, Material};
     use crate::testing::{Bar, Cell, Cut};
     use faer::Mat;
     use nalgebra::Matrix3;
 
     #[test]
     fn stress_is_that_of_the_material() {
-        let lame = [2.3e5, 1.1e5];
-        let d: LaneMatrix =
-            std::array::from_fn(|k| std::array::from_fn(|l| 0.3 * ((7 * k + l) as f64).sin()));
-        let p = stress(&d, lame, 0.2);
-        for lane in 0..LANES {
-            let gradient = Matrix3::from_fn(|i, j| d[3 * i + j][lane]);
-            let exact = stvk::stress(&gradient, lame) * 0.2;
-            let found = Matrix3::from_fn(|i, j| p[3 * i + j][lane]);
-            assert!((found - exact).norm() < 1e-13 * exact.norm());
+        for law in Law::ALL {
+            let elasticity = Material::new(law, 5e5, 0.3, 1.0).unwrap().elasticity(1.5);
+            let d: LaneMatrix =
+                std::array::from_fn(|k| std::array::from_fn(|l| 0.3 * ((7 * k + l) as f64).sin()));
+            let p = stress(&d, &elasticity, 0.2);
+            for lane in 0..LANES {
+                let gradient = Matrix3::from_fn(|i, j| d[3 * i + j][lane]);
+                let exact = elasticity.stress(&gradient) * 0.2;
+                let found = Matrix3::from_fn(|i, j| p[3 * i + j][lane]);
+                assert!((found - exact).norm() < 1e-13 * exact.norm());
+            }
         }
     }
 

@@ -95,7 +95,8 @@ impl<'a> Samples<'a> {
         });
         let d = linalg::small_product(gradient.as_ref(), self.q.as_ref());
         let mut p = Mat::<f64>::zeros(9, t);
-        let (lame, volume_m3) = (self.model.lame()[tet], self.model.volumes_m3()[tet]);
+        let (elasticity, volume_m3) =
+            (&self.model.elasticities()[tet], self.model.volumes_m3()[tet]);
         for [first, count] in pose_blocks(t) {
             let mut lanes = [[0.0; LANES]; 9];
             for pose in 0..count {
@@ -105,7 +106,7 @@ impl<'a> Samples<'a> {
             }
             let lanes = linalg::vectorized(
                 #[inline(always)]
-                || stress(&lanes, lame, volume_m3),
+                || stress(&lanes, elasticity, volume_m3),
             );
             for pose in 0..count {
                 let scale = self.scale[first + pose];
@@ -249,7 +250,7 @@ impl Sketch {
 mod tests {
     use super::*;
     use crate::control::Uncontrolled;
-    use crate::material::Material;
+    use crate::material::{Hyperelastic, Material};
     use crate::testing::{Bar, Cell, Cut};
 
     /// A bar, a basis of `r` smooth fields that respect its support, and its norm and poses.
@@ -288,7 +289,7 @@ mod tests {
             let mut sum = Mat::<f64>::zeros(5, 1);
             for (&tet, weight) in rule.tets.iter().zip(&rule.weights) {
                 let d = model.displacement_gradient(tet as usize, u.col_as_slice(0));
-                let p = crate::material::stvk::stress(&d, model.lame()[tet as usize])
+                let p = model.elasticities()[tet as usize].stress(&d)
                     * (weight * model.volumes_m3()[tet as usize]);
                 let corners = Mat::from_fn(12, 1, |i, _| {
                     (0..3)

@@ -3,6 +3,7 @@
 mod cursor;
 mod gmsh;
 mod reader;
+mod surface;
 mod vega;
 
 pub use reader::{Location, MeshFile, MeshFormat, MeshLimits, ReadError, ReadFault, read};

@@ -26,6 +26,7 @@ pub(crate) fn soft() -> Material {
 pub(crate) fn params(bar: &BarMesh, n_modes: usize) -> BuildParams {
     BuildParams {
         materials: vec![soft()],
+        tet_stiffness: [].into(),
         fixed_vertices: bar.root.clone(),
         mass: MassKind::Lumped,
         n_modes,

@@ -8,7 +8,7 @@ use sutura_core::build::{
 };
 use sutura_core::control::Uncontrolled;
 use sutura_core::linalg;
-use sutura_core::material::stvk;
+use sutura_core::material::{Elasticity, Hyperelastic};
 use sutura_core::reduced::Evaluation;
 use sutura_core::testing::differences::slope;
 use sutura_core::testing::statics::StitchedBody;
@@ -127,10 +127,10 @@ fn a_client_can_evaluate_from_the_tables_alone() {
             };
             let n = |corner: usize, axis: usize| t.shape_gradients[(4 * p + corner) * 3 + axis];
             let d = Matrix3::from_fn(|i, j| (0..4).map(|a| dot(row(a, i), &q) * n(a, j)).sum());
-            let lame = [t.lame_pa[2 * p], t.lame_pa[2 * p + 1]];
+            let law = Elasticity::stvk([t.lame_pa[2 * p], t.lame_pa[2 * p + 1]]);
             let scale = t.weights[p] * t.volumes_m3[p];
-            energy_j += scale * stvk::energy_density(&d, lame);
-            let stress = stvk::stress(&d, lame) * scale;
+            energy_j += scale * law.energy_density(&d);
+            let stress = law.stress(&d) * scale;
             for (a, i, j) in (0..36).map(|k| (k / 9, k / 3 % 3, k % 3)) {
                 for (f, u) in force.iter_mut().zip(row(a, i)) {
                     *f += stress[(i, j)] * n(a, j) * u;

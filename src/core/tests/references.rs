@@ -49,6 +49,7 @@ impl Case {
             .collect();
         let params = BuildParams {
             materials,
+            tet_stiffness: [].into(),
             fixed_vertices: config["fixed_vertices"]
                 .as_array()
                 .unwrap()

@@ -18,6 +18,7 @@ use sutura_core::testing::{Bar, Cell, Cut};
 fn params(materials: Vec<Material>, fixed_vertices: Vec<u32>, n_modes: usize) -> BuildParams {
     BuildParams {
         materials,
+        tet_stiffness: [].into(),
         fixed_vertices,
         mass: MassKind::Consistent,
         n_modes,

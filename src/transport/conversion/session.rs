@@ -8,8 +8,8 @@ use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use sutura_core::build::{BuildParams, CubatureParams, MassKind, RayleighDamping, Selection};
-use sutura_core::edit::EditState;
-use sutura_core::material::Material;
+use sutura_core::edit::{EditState, STIFFNESS_FACTOR_RANGE};
+use sutura_core::material::{Law, Material};
 use sutura_core::mesh::{MeshFile, MeshFormat, MeshLimits, TetMesh};
 use sutura_proto::session::{
     self as wire, BasisConfig, CubatureConfig, DampingConfig, MassConfig, MaterialConfig,
@@ -114,6 +114,7 @@ fn build_params(
     };
     Ok(BuildParams {
         materials: mesh.domains().iter().map(material_of).collect::<Result<_, _>>()?,
+        tet_stiffness: tet_stiffness(config, mesh)?,
         fixed_vertices: config.fixed_vertices.clone(),
         mass: match config.mass {
             MassConfig::Lumped => MassKind::Lumped,
@@ -156,16 +157,54 @@ fn material(
     label: &i64,
     config: &SessionConfig,
 ) -> Result<Material, Problem> {
-    let MaterialLaw::Stvk = given.law;
-    Material::stvk(given.young_modulus_pa, given.poisson_ratio, given.density_kg_m3).map_err(
-        |error| {
+    let law = match given.law {
+        MaterialLaw::Linear => Law::Linear,
+        MaterialLaw::Stvk => Law::StVenantKirchhoff,
+        MaterialLaw::NeoHookean => Law::NeoHookean,
+        MaterialLaw::MooneyRivlin => Law::MooneyRivlin,
+        MaterialLaw::Corotational => Law::Corotational,
+    };
+    let MaterialConfig { young_modulus_pa, poisson_ratio, density_kg_m3, .. } = *given;
+    Material::new(law, young_modulus_pa, poisson_ratio, density_kg_m3)
+        .and_then(|material| match given.mooney_ratio {
+            Some(ratio) => material.with_mooney_ratio(ratio),
+            None => Ok(material),
+        })
+        .map_err(|error| {
             let pointer = match config.domain_materials.get(label) {
                 Some(_) => format!("/domain_materials/{label}"),
                 None => "/material".to_owned(),
             };
             Problem::new(Kind::ImpossibleConfiguration, error.to_string()).at(pointer)
-        },
-    )
+        })
+}
+
+fn wire_law(law: Law) -> MaterialLaw {
+    match law {
+        Law::Linear => MaterialLaw::Linear,
+        Law::StVenantKirchhoff => MaterialLaw::Stvk,
+        Law::NeoHookean => MaterialLaw::NeoHookean,
+        Law::MooneyRivlin => MaterialLaw::MooneyRivlin,
+        Law::Corotational => MaterialLaw::Corotational,
+    }
+}
+
+/// One factor for each tet, if there are any.
+fn tet_stiffness(config: &SessionConfig, mesh: &TetMesh) -> Result<Arc<[f64]>, Problem> {
+    let impossible = |detail: String, pointer: String| {
+        Err(Problem::new(Kind::ImpossibleConfiguration, detail).at(pointer))
+    };
+    let (given, n_tets) = (&config.tet_stiffness, mesh.tets().len());
+    if !given.is_empty() && given.len() != n_tets {
+        let detail = format!("{} entries for {n_tets} tets", given.len());
+        return impossible(detail, "/tet_stiffness".to_owned());
+    }
+    let [low, high] = STIFFNESS_FACTOR_RANGE;
+    if let Some(tet) = given.iter().position(|factor| !(low..=high).contains(factor)) {
+        let detail = format!("must be between {low:e} and {high:e}, not {:e}", given[tet]);
+        return impossible(detail, format!("/tet_stiffness/{tet}"));
+    }
+    Ok(given.as_slice().into())
 }
 
 /// The session as clients see it.
@@ -216,10 +255,11 @@ fn parameters(
     mesh: &TetMesh,
 ) -> wire::SessionParameters {
     let material = |material: &Material| MaterialConfig {
-        law: MaterialLaw::Stvk,
+        law: wire_law(material.law()),
         young_modulus_pa: material.young_modulus_pa(),
         poisson_ratio: material.poisson_ratio(),
         density_kg_m3: material.density_kg_m3(),
+        mooney_ratio: (material.law() == Law::MooneyRivlin).then(|| material.mooney_ratio()),
     };
     wire::SessionParameters {
         domain_materials: mesh

@@ -1,7 +1,7 @@
 //! Static equilibrium in the subspace: f(q) = f_ext by Newton's method with a line search.
 
-use super::ReducedModel;
-use crate::linalg::SmallCholesky;
+use crate::ReducedModel;
+use crate::dense::SmallCholesky;
 use faer::Mat;
 
 /// A static solution was not found.
@@ -34,7 +34,7 @@ impl ReducedModel {
         let potential = |q: &[f64], energy_j: f64| {
             energy_j - q.iter().zip(force).map(|(q, f)| q * f).sum::<f64>()
         };
-        let stiffest = (0..r).map(|i| self.rest_stiffness[(i, i)]).fold(0.0, f64::max);
+        let stiffest = (0..r).map(|i| self.rest_stiffness()[(i, i)]).fold(0.0, f64::max);
         let mut residual = f64::INFINITY;
         for _ in 0..MOST_ITERATIONS {
             let sums = self.sums(&q, true);

@@ -1,0 +1,184 @@
+//! Forces at single points of the body: pulling springs, and contact with obstacles.
+
+use crate::contact::{Contact, ContactSurface, LocalObstacle};
+use crate::frame::Frame;
+use crate::material::Mat3;
+use faer::linalg::matmul::matmul;
+use faer::{Accum, Mat, Par};
+use nalgebra::Vector3;
+use std::sync::Arc;
+
+/// A vertex in the subspace: u = Σ rows_i q_i.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VertexRows {
+    /// Where the vertex rests, in m.
+    pub rest_m: [f64; 3],
+    /// Its displacement in each column of the basis (r entries).
+    pub rows: Vec<[f64; 3]>,
+}
+
+impl VertexRows {
+    fn times(&self, q: &[f64]) -> Vector3<f64> {
+        let mut u = Vector3::zeros();
+        for (row, q) in self.rows.iter().zip(q) {
+            u += Vector3::from(*row) * *q;
+        }
+        u
+    }
+}
+
+/// A damped spring from a vertex to a point in the world: a hand, or a surgical tool.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Grab {
+    /// The vertex that is held.
+    pub vertex: Arc<VertexRows>,
+    /// Where it is pulled to, in m.
+    pub target_m: [f64; 3],
+    /// Stiffness in N/m.
+    pub stiffness_n_m: f64,
+    /// Damping in N·s/m.
+    pub damping_n_s_m: f64,
+}
+
+/// Where the body's frame is and how it moves, for a moment.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Placement {
+    pub(crate) frame: Frame,
+    /// What rest positions are counted from: the centre of mass of a free body, else the origin.
+    pub(crate) origin: Vector3<f64>,
+    /// Velocity of the frame's origin and its angular velocity, in the body's frame.
+    pub(crate) velocity: Vector3<f64>,
+    pub(crate) omega: Vector3<f64>,
+}
+
+impl Placement {
+    /// Of a body that is held: world and body are the same.
+    pub(crate) fn fixed() -> Placement {
+        Placement {
+            frame: Frame {
+                position_m: Vector3::zeros(),
+                rotation: nalgebra::UnitQuaternion::identity(),
+            },
+            origin: Vector3::zeros(),
+            velocity: Vector3::zeros(),
+            omega: Vector3::zeros(),
+        }
+    }
+
+    /// A point of the world in the body's frame.
+    pub(crate) fn inside(&self, x: [f64; 3]) -> Vector3<f64> {
+        self.frame.rotation.inverse() * (Vector3::from(x) - self.frame.position_m)
+    }
+
+    /// A direction or force of the world in the body's frame.
+    pub(crate) fn turned(&self, f: [f64; 3]) -> Vector3<f64> {
+        self.frame.rotation.inverse() * Vector3::from(f)
+    }
+}
+
+/// Everything that pulls at points, in the body's frame.
+pub(crate) struct Interactions<'a> {
+    pub(crate) placement: Placement,
+    /// Grabs with their targets.
+    grabs: Vec<(&'a Grab, Vector3<f64>)>,
+    obstacles: Vec<LocalObstacle>,
+    contact: Option<(&'a ContactSurface, Contact)>,
+}
+
+/// What acts at one point: the force, and its negative derivatives by position and velocity, in the body's frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PointForce {
+    pub(crate) force: Vector3<f64>,
+    pub(crate) stiffness: Mat3,
+    pub(crate) damping: Mat3,
+}
+
+/// The sum of all, and its derivative.
+pub(crate) struct Pull {
+    /// Reduced force (r numbers).
+    pub(crate) force: Vec<f64>,
+    /// Minus its derivative by q where the velocity follows q at `rate`, if asked for (r×r).
+    pub(crate) stiffness: Option<Mat<f64>>,
+    /// Force and torque about the frame's origin, in the body's frame.
+    pub(crate) total: [Vector3<f64>; 2],
+}
+
+impl<'a> Interactions<'a> {
+    pub(crate) fn new(
+        grabs: &'a [Grab],
+        contact: Option<(&'a ContactSurface, Contact)>,
+        obstacles: &[crate::contact::Obstacle],
+        placement: Placement,
+    ) -> Interactions<'a> {
+        Interactions {
+            grabs: grabs.iter().map(|grab| (grab, placement.inside(grab.target_m))).collect(),
+            obstacles: match contact {
+                Some(_) => obstacles.iter().map(|o| o.seen_from(&placement)).collect(),
+                None => Vec::new(),
+            },
+            contact,
+            placement,
+        }
+    }
+
+    pub(crate) fn are_none(&self) -> bool {
+        self.grabs.is_empty() && self.obstacles.is_empty()
+    }
+
+    /// Forces at `q` and `velocity`, and their derivative if `rate`, the derivative of the velocity by q, is
+    /// given.
+    pub(crate) fn pull(&self, q: &[f64], velocity: &[f64], rate: Option<f64>) -> Pull {
+        let r = q.len();
+        let mut pull = Pull {
+            force: vec![0.0; r],
+            stiffness: None,
+            total: [Vector3::zeros(), Vector3::zeros()],
+        };
+        // Rows of all points one below the other, and stiffness times rows.
+        let mut rows: Vec<f64> = Vec::new();
+        let mut responses: Vec<f64> = Vec::new();
+        let mut add = |y: Vector3<f64>, row: &dyn Fn(usize, usize) -> f64, at: PointForce| {
+            pull.total[0] += at.force;
+            pull.total[1] += y.cross(&at.force);
+            for (i, f) in pull.force.iter_mut().enumerate() {
+                *f += (0..3).map(|axis| row(axis, i) * at.force[axis]).sum::<f64>();
+            }
+            if let Some(rate) = rate {
+                let k = at.stiffness + at.damping * rate;
+                for axis in 0..3 {
+                    rows.extend((0..r).map(|i| row(axis, i)));
+                    let entry = |i| (0..3).map(|b| k[(axis, b)] * row(b, i)).sum::<f64>();
+                    responses.extend((0..r).map(entry));
+                }
+            }
+        };
+        let Placement { origin, velocity: frame_velocity, omega, .. } = self.placement;
+        for (grab, target) in &self.grabs {
+            let rest = Vector3::from(grab.vertex.rest_m) - origin;
+            let y = rest + grab.vertex.times(q);
+            let speed = frame_velocity + omega.cross(&y) + grab.vertex.times(velocity);
+            let at = PointForce {
+                force: (target - y) * grab.stiffness_n_m - speed * grab.damping_n_s_m,
+                stiffness: Mat3::identity() * grab.stiffness_n_m,
+                damping: Mat3::identity() * grab.damping_n_s_m,
+            };
+            add(y, &|axis, i| grab.vertex.rows[i][axis], at);
+        }
+        if let Some((surface, contact)) = &self.contact {
+            surface.touch(&self.obstacles, &self.placement, q, velocity, |vertex, y, touch| {
+                let at = contact.force(&touch, surface.area_m2(vertex));
+                let of_vertex = surface.rows(vertex);
+                add(y, &|axis, i| f64::from(of_vertex[axis * r + i]), at);
+            });
+        }
+        if rate.is_some() {
+            let m = rows.len() / r.max(1);
+            let rows = faer::MatRef::from_row_major_slice(&rows, m, r);
+            let responses = faer::MatRef::from_row_major_slice(&responses, m, r);
+            let mut stiffness = Mat::zeros(r, r);
+            matmul(stiffness.as_mut(), Accum::Replace, rows.transpose(), responses, 1.0, Par::Seq);
+            pull.stiffness = Some(stiffness);
+        }
+        pull
+    }
+}

@@ -1,0 +1,26 @@
+//! A deformable body in its subspace: material laws, the reduced model with its exact derivatives, static
+//! and dynamic solutions, contact and pulling. Nothing here is of the size of the mesh.
+//!
+//! The daemon's core builds a [`ReducedModel`] from a body; a client builds the same one from the
+//! evaluator's tables and steps on its own.
+//!
+//! Pure and synchronous: no clock, files, network or environment. Single steps run on the calling thread alone.
+
+pub mod contact;
+pub mod dense;
+mod frame;
+mod interaction;
+pub mod material;
+mod modal;
+mod model;
+mod simulation;
+mod statics;
+mod step;
+
+pub use frame::{Frame, FreeBody};
+pub use interaction::{Grab, VertexRows};
+pub use model::{Evaluation, EvaluatorTables, Point, RayleighDamping, ReducedModel, TableError};
+pub use simulation::{
+    Environment, Integrator, Simulation, SimulationError, SimulationParams, StepReport,
+};
+pub use statics::StaticError;

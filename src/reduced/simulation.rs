@@ -1,0 +1,504 @@
+//! Simulation in the subspace: q̈ + D q̇ + f(q) = f_ext with UᵀMU = I and Rayleigh damping D = αI + βK̃(0)
+//! (\[B12\] §3.1), in real time and without ever leaving a number that is not finite.
+
+use crate::ReducedModel;
+use crate::contact::{Contact, ContactSurface, Obstacle};
+use crate::dense::DenseError;
+use crate::frame::{Frame, FreeBody, Motion, inertial_load};
+use crate::interaction::{Grab, Interactions, Placement, VertexRows};
+use crate::modal::Oscillators;
+use crate::step::{Scheme, State, Step};
+use faer::Mat;
+use nalgebra::Vector3;
+use std::sync::Arc;
+
+/// How the reduced equations of motion are integrated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Integrator {
+    /// Newmark with β = 1/4, γ = 1/2 (average acceleration): second order, keeps energy.
+    ImplicitNewmark,
+    /// Backward Euler: first order, calms fast motion.
+    BackwardEuler,
+    /// Linear modes as exact damped oscillators: any step, small deformations; grabs and contact act
+    /// as they were at the start of the step.
+    ModalOscillators,
+    /// Static equilibrium at the end of each step: no inertia.
+    QuasiStatic,
+}
+
+/// Parameters of a [`Simulation`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimulationParams {
+    /// Time step in s.
+    pub dt_s: f64,
+    /// The integrator.
+    pub integrator: Integrator,
+    /// Gravity in m/s².
+    pub gravity_m_s2: [f64; 3],
+}
+
+/// What surrounds the body.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Environment {
+    /// What it cannot enter.
+    pub obstacles: Vec<Obstacle>,
+    /// How those push back.
+    pub contact: Contact,
+}
+
+/// What one step went through.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StepReport {
+    /// Newton iterations over all substeps.
+    pub n_newton: u32,
+    /// Substeps the step was split into (1 when all went well).
+    pub n_substeps: u32,
+    /// No substep size worked: the step was undone and the body brought to rest where it was.
+    pub recovered: bool,
+}
+
+/// Why a simulation cannot run.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)] // the messages say what the fields are
+pub enum SimulationError {
+    #[error("dt_s must be positive and at most 1 s, not {0}")]
+    TimeStep(f64),
+    #[error("gravity_m_s2 must be finite")]
+    Gravity,
+    #[error(
+        "{n_rigid_modes} rigid motions are left, but not those of a whole body: fix vertices, or stitch every component to the others"
+    )]
+    PartlyFree { n_rigid_modes: usize },
+    #[error("a body that nothing holds has no static equilibrium: fix vertices")]
+    NoEquilibrium,
+    #[error("the transfer matrix has {given} entries, not {expected}")]
+    Transfer { given: usize, expected: usize },
+    #[error(transparent)]
+    Dense(#[from] DenseError),
+}
+
+/// A running simulation of one reduced model.
+pub struct Simulation {
+    model: Arc<ReducedModel>,
+    params: SimulationParams,
+    time_s: f64,
+    state: State,
+    /// Of a body that nothing holds.
+    motion: Option<Motion>,
+    damping: Mat<f64>,
+    oscillators: Option<Oscillators>,
+    grabs: Vec<Grab>,
+    environment: Option<Arc<Environment>>,
+    surface: Option<Arc<ContactSurface>>,
+}
+
+/// A step is halved at most so many times.
+const MOST_HALVINGS: u32 = 6;
+
+/// Passes over a step of a free body: the first with the frame's motion before it, the second with the mean of
+/// before and after, which makes it second order.
+const FRAME_PASSES: usize = 2;
+
+impl Simulation {
+    /// At rest at q = 0.
+    pub fn new(
+        model: Arc<ReducedModel>,
+        params: SimulationParams,
+    ) -> Result<Simulation, SimulationError> {
+        check_params(&params)?;
+        let motion = motion_of(&model, &params)?;
+        let mut simulation = Simulation {
+            state: State::at_rest(model.r()),
+            damping: model.damping_matrix(),
+            model,
+            params,
+            time_s: 0.0,
+            motion,
+            oscillators: None,
+            grabs: Vec::new(),
+            environment: None,
+            surface: None,
+        };
+        simulation.prepare_oscillators()?;
+        Ok(simulation)
+    }
+
+    /// Advances by `dt_s` under the reduced external force `force` (r numbers, in the body's frame) and forces in N at
+    /// vertices (in the world); gravity, grabs and contact are added. Never leaves a non-finite state behind: a step
+    /// that fails is split, and if no split works it is undone and the body brought to rest where it was.
+    pub fn step(&mut self, force: &[f64], at_vertices: &[(&VertexRows, [f64; 3])]) -> StepReport {
+        self.time_s += self.params.dt_s;
+        let mut report = StepReport::default();
+        let is_finite = force.iter().chain(at_vertices.iter().flat_map(|(_, f)| f));
+        if is_finite.into_iter().all(|x| x.is_finite()) {
+            for halvings in 0..=MOST_HALVINGS {
+                let substeps = 1u32 << halvings;
+                let dt = self.params.dt_s / f64::from(substeps);
+                let mut at = (self.state.clone(), self.motion);
+                report.n_substeps = substeps;
+                let done = (0..substeps).all(|_| {
+                    let next = self.advance(&at, force, at_vertices, dt, &mut report.n_newton);
+                    next.map(|next| at = next).is_some()
+                });
+                if done {
+                    (self.state, self.motion) = at;
+                    return report;
+                }
+            }
+        }
+        report.recovered = true;
+        self.rest();
+        report
+    }
+
+    /// Brings the body to rest where it is.
+    fn rest(&mut self) {
+        self.state.velocity.fill(0.0);
+        self.state.acceleration.fill(0.0);
+        if let Some(motion) = &mut self.motion {
+            *motion = Motion {
+                frame: motion.frame,
+                momentum: Vector3::zeros(),
+                angular_momentum: Vector3::zeros(),
+                angular_acceleration: Vector3::zeros(),
+            };
+        }
+    }
+
+    /// One substep; `None` if it fails.
+    fn advance(
+        &self,
+        start: &(State, Option<Motion>),
+        force: &[f64],
+        at_vertices: &[(&VertexRows, [f64; 3])],
+        dt: f64,
+        n_newton: &mut u32,
+    ) -> Option<(State, Option<Motion>)> {
+        let (state, motion) = start;
+        let Some((motion, body)) = motion.as_ref().zip(self.model.free_body()) else {
+            let placement = Placement::fixed();
+            let mut load = self.model.gravity_load(self.params.gravity_m_s2);
+            load.iter_mut().zip(force).for_each(|(load, f)| *load += f);
+            add_vertex_loads(&mut load, at_vertices, &placement);
+            let interactions = self.interactions(placement);
+            let next = self.solve(state, &load, &interactions, dt, n_newton)?;
+            return Some((next, None));
+        };
+        let omega = motion.angular_velocity(body, &state.q, &state.velocity)?;
+        let mut pass = Pass {
+            omega,
+            angular_acceleration: motion.angular_acceleration,
+            q: state.q.clone(),
+            velocity: state.velocity.clone(),
+        };
+        let mut found = None;
+        for _ in 0..FRAME_PASSES {
+            let (next, moved) =
+                self.pass(state, motion, body, &pass, force, at_vertices, dt, n_newton)?;
+            let after = moved.angular_velocity(body, &next.q, &next.velocity)?;
+            let mean = |a: &[f64], b: &[f64]| -> Vec<f64> {
+                a.iter().zip(b).map(|(a, b)| 0.5 * (a + b)).collect()
+            };
+            pass = Pass {
+                omega: (omega + after) * 0.5,
+                angular_acceleration: (after - omega) / dt,
+                q: mean(&state.q, &next.q),
+                velocity: mean(&state.velocity, &next.velocity),
+            };
+            let angular_acceleration = pass.angular_acceleration;
+            found = Some((next, Some(Motion { angular_acceleration, ..moved })));
+        }
+        found
+    }
+
+    /// A substep of a free body, the frame's angular motion being given.
+    #[allow(clippy::too_many_arguments)] // one call, from `advance`
+    fn pass(
+        &self,
+        state: &State,
+        motion: &Motion,
+        body: &FreeBody,
+        pass: &Pass,
+        force: &[f64],
+        at_vertices: &[(&VertexRows, [f64; 3])],
+        dt: f64,
+        n_newton: &mut u32,
+    ) -> Option<(State, Motion)> {
+        let gravity = Vector3::from(self.params.gravity_m_s2) * body.mass_kg();
+        let mut frame = motion.moved(body, &pass.omega, dt);
+        let placement = Placement {
+            frame,
+            origin: body.center_m(),
+            velocity: frame.rotation.inverse() * motion.velocity(body),
+            omega: pass.omega,
+        };
+        let inertial =
+            inertial_load(body, &pass.q, &pass.velocity, &pass.omega, &pass.angular_acceleration);
+        let mut load: Vec<f64> = force.iter().zip(inertial).map(|(f, i)| f - i).collect();
+        add_vertex_loads(&mut load, at_vertices, &placement);
+        let interactions = self.interactions(placement);
+        let next = self.solve(state, &load, &interactions, dt, n_newton)?;
+
+        let [mut total, mut torque] = [Vector3::zeros(), Vector3::zeros()];
+        if !interactions.are_none() {
+            [total, torque] = interactions.pull(&next.q, &next.velocity, None).total;
+        }
+        for (vertex, f) in at_vertices {
+            let f = placement.turned(*f);
+            let moved: Vector3<f64> =
+                vertex.rows.iter().zip(&next.q).map(|(row, q)| Vector3::from(*row) * *q).sum();
+            let y = Vector3::from(vertex.rest_m) - placement.origin + moved;
+            total += f;
+            torque += y.cross(&f);
+        }
+        let momentum = motion.momentum + (frame.rotation * total + gravity) * dt;
+        let angular_momentum = motion.angular_momentum + frame.rotation * torque * dt;
+        let moved = Motion { momentum, angular_momentum, ..*motion };
+        // The mean of the velocities before and after carries the centre of mass.
+        frame.position_m =
+            motion.frame.position_m + (motion.velocity(body) + moved.velocity(body)) * (0.5 * dt);
+        let finite = momentum.iter().chain(&angular_momentum).all(|x| x.is_finite());
+        finite.then_some((next, Motion { frame, ..moved }))
+    }
+
+    /// The deformation after a substep under `load`.
+    fn solve(
+        &self,
+        state: &State,
+        load: &[f64],
+        interactions: &Interactions<'_>,
+        dt: f64,
+        n_newton: &mut u32,
+    ) -> Option<State> {
+        let scheme = match self.params.integrator {
+            Integrator::ImplicitNewmark => Scheme::Newmark,
+            Integrator::BackwardEuler => Scheme::BackwardEuler,
+            Integrator::QuasiStatic => Scheme::QuasiStatic,
+            Integrator::ModalOscillators => {
+                let mut load = load.to_vec();
+                if !interactions.are_none() {
+                    let pull = interactions.pull(&state.q, &state.velocity, None);
+                    load.iter_mut().zip(pull.force).for_each(|(load, f)| *load += f);
+                }
+                let oscillators = self.oscillators.as_ref()?;
+                let [q, velocity] =
+                    oscillators.advance(&self.model, &state.q, &state.velocity, &load, dt);
+                let acceleration = vec![0.0; q.len()];
+                let next = State { q, velocity, acceleration };
+                return next.is_finite().then_some(next);
+            }
+        };
+        let step =
+            Step { model: &self.model, damping: &self.damping, scheme, load, interactions, dt };
+        step.from(state, n_newton).filter(State::is_finite)
+    }
+
+    fn interactions(&self, placement: Placement) -> Interactions<'_> {
+        let environment = self.environment.as_deref();
+        let contact = environment.zip(self.surface.as_deref()).filter(|(environment, surface)| {
+            !environment.obstacles.is_empty() && surface.r() == self.model.r()
+        });
+        let obstacles = environment.map_or(&[][..], |environment| &environment.obstacles);
+        let contact = contact.map(|(environment, surface)| (surface, environment.contact));
+        Interactions::new(&self.grabs, contact, obstacles, placement)
+    }
+
+    /// Changes the parameters from the next step on.
+    pub fn set_params(&mut self, params: SimulationParams) -> Result<(), SimulationError> {
+        check_params(&params)?;
+        motion_of(&self.model, &params)?;
+        let was = std::mem::replace(&mut self.params, params);
+        if let Err(error) = self.prepare_oscillators() {
+            self.params = was;
+            return Err(error);
+        }
+        Ok(())
+    }
+
+    /// What pulls at vertices from the next step on, rows of the current basis (others are dropped).
+    pub fn set_grabs(&mut self, mut grabs: Vec<Grab>) {
+        grabs.retain(|grab| grab.vertex.rows.len() == self.model.r());
+        self.grabs = grabs;
+    }
+
+    /// What surrounds the body from the next step on, and its surface in the current basis.
+    pub fn set_environment(
+        &mut self,
+        environment: Option<Arc<Environment>>,
+        surface: Option<Arc<ContactSurface>>,
+    ) {
+        self.environment = environment;
+        self.surface = surface;
+    }
+
+    /// Carries state over to another generation: q, velocity and acceleration through `transfer`
+    /// (r_new × r_old, row-major). Grabs and the surface belong to the old basis and are dropped: set
+    /// them anew. A free body keeps its frame and its momenta.
+    pub fn switch(
+        &mut self,
+        model: Arc<ReducedModel>,
+        transfer: &[f64],
+    ) -> Result<(), SimulationError> {
+        let fresh = motion_of(&model, &self.params)?;
+        let (new, old) = (model.r(), self.model.r());
+        if transfer.len() != new * old {
+            return Err(SimulationError::Transfer { given: transfer.len(), expected: new * old });
+        }
+        let carry = |x: &[f64]| -> Vec<f64> {
+            transfer
+                .chunks_exact(old)
+                .map(|row| row.iter().zip(x).map(|(a, b)| a * b).sum())
+                .collect()
+        };
+        self.state = State {
+            q: carry(&self.state.q),
+            velocity: carry(&self.state.velocity),
+            acceleration: carry(&self.state.acceleration),
+        };
+        self.motion = fresh.map(|fresh| self.motion.unwrap_or(fresh));
+        self.damping = model.damping_matrix();
+        self.model = model;
+        self.grabs.clear();
+        self.surface = None;
+        self.oscillators = None;
+        self.prepare_oscillators()
+    }
+
+    fn prepare_oscillators(&mut self) -> Result<(), SimulationError> {
+        let is_modal = self.params.integrator == Integrator::ModalOscillators;
+        if is_modal && self.oscillators.is_none() {
+            self.oscillators = Some(Oscillators::new(&self.model)?);
+        }
+        Ok(())
+    }
+
+    /// Simulated time in s.
+    pub fn time_s(&self) -> f64 {
+        self.time_s
+    }
+    /// The parameters in force.
+    pub fn params(&self) -> &SimulationParams {
+        &self.params
+    }
+    /// Reduced coordinates.
+    pub fn q(&self) -> &[f64] {
+        &self.state.q
+    }
+    /// Reduced velocity in 1/s.
+    pub fn velocity(&self) -> &[f64] {
+        &self.state.velocity
+    }
+    /// What grabs and obstacles pull with now: force in N and torque in N·m about the frame's
+    /// origin, in the body's frame.
+    pub fn interaction_force(&self) -> [[f64; 3]; 2] {
+        let interactions = self.interactions(self.placement());
+        if interactions.are_none() {
+            return [[0.0; 3]; 2];
+        }
+        interactions.pull(&self.state.q, &self.state.velocity, None).total.map(Into::into)
+    }
+
+    fn placement(&self) -> Placement {
+        match self.motion.as_ref().zip(self.model.free_body()) {
+            None => Placement::fixed(),
+            Some((motion, body)) => Placement {
+                frame: motion.frame,
+                origin: body.center_m(),
+                velocity: motion.frame.rotation.inverse() * motion.velocity(body),
+                omega: motion
+                    .angular_velocity(body, &self.state.q, &self.state.velocity)
+                    .unwrap_or_default(),
+            },
+        }
+    }
+
+    /// Where a point of the mesh is: x = translation + rotation·(X + u). Position in m and unit
+    /// quaternion (x, y, z, w); nothing and no rotation for a body that is held.
+    pub fn rigid(&self) -> [f64; 7] {
+        let Placement { frame: Frame { position_m, rotation }, origin, .. } = self.placement();
+        let t = position_m - rotation * origin;
+        let q = rotation.coords;
+        [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
+    }
+
+    /// Linear momentum in kg·m/s and angular momentum about the centre of mass in kg·m²/s of a free
+    /// body, from its motion: velocities, inertia and deformation.
+    pub fn momenta(&self) -> Option<[[f64; 3]; 2]> {
+        let (motion, body) = self.motion.as_ref().zip(self.model.free_body())?;
+        let (q, velocity) = (&self.state.q, &self.state.velocity);
+        let omega = motion.angular_velocity(body, q, velocity)?;
+        let angular = body.inertia(q) * omega + body.spin(q, velocity);
+        let linear = motion.velocity(body) * body.mass_kg();
+        Some([linear.into(), (motion.frame.rotation * angular).into()])
+    }
+
+    /// Kinetic energy of the frame and the deformation, and strain energy, in J.
+    pub fn energies_j(&self) -> [f64; 2] {
+        let (q, velocity) = (&self.state.q, &self.state.velocity);
+        let mut kinetic = 0.5 * velocity.iter().map(|v| v * v).sum::<f64>();
+        if let Some((motion, body)) = self.motion.as_ref().zip(self.model.free_body()) {
+            let omega = motion.angular_velocity(body, q, velocity).unwrap_or_default();
+            kinetic += 0.5 * motion.momentum.norm_squared() / body.mass_kg()
+                + 0.5 * omega.dot(&(body.inertia(q) * omega))
+                + omega.dot(&body.spin(q, velocity));
+        }
+        [kinetic, self.model.sums(q, false).energy_j]
+    }
+
+    /// Sets a free body in motion: velocity of the centre of mass in m/s and angular velocity in 1/s (in the body's frame).
+    /// Without effect on a body that is held.
+    pub fn set_rigid_velocity(&mut self, velocity_m_s: [f64; 3], omega_per_s: [f64; 3]) {
+        if let Some((motion, body)) = self.motion.as_mut().zip(self.model.free_body()) {
+            let (q, velocity) = (&self.state.q, &self.state.velocity);
+            motion.momentum = Vector3::from(velocity_m_s) * body.mass_kg();
+            let angular = body.inertia(q) * Vector3::from(omega_per_s) + body.spin(q, velocity);
+            motion.angular_momentum = motion.frame.rotation * angular;
+        }
+    }
+}
+
+/// The frame's motion as a pass over a step takes it.
+struct Pass {
+    omega: Vector3<f64>,
+    angular_acceleration: Vector3<f64>,
+    q: Vec<f64>,
+    velocity: Vec<f64>,
+}
+
+fn add_vertex_loads(
+    load: &mut [f64],
+    at_vertices: &[(&VertexRows, [f64; 3])],
+    placement: &Placement,
+) {
+    for (vertex, f) in at_vertices {
+        let f = placement.turned(*f);
+        for (load, row) in load.iter_mut().zip(&vertex.rows) {
+            *load += Vector3::from(*row).dot(&f);
+        }
+    }
+}
+
+/// The motion of a free body at rest; none of one that is held.
+fn motion_of(
+    model: &ReducedModel,
+    params: &SimulationParams,
+) -> Result<Option<Motion>, SimulationError> {
+    match (model.n_rigid_modes(), model.free_body()) {
+        (0, _) => Ok(None),
+        (_, Some(_)) if params.integrator == Integrator::QuasiStatic => {
+            Err(SimulationError::NoEquilibrium)
+        }
+        (_, Some(body)) => Ok(Some(Motion::at_rest(body))),
+        (n_rigid_modes, None) => Err(SimulationError::PartlyFree { n_rigid_modes }),
+    }
+}
+
+fn check_params(params: &SimulationParams) -> Result<(), SimulationError> {
+    if !(params.dt_s > 0.0 && params.dt_s <= 1.0) {
+        return Err(SimulationError::TimeStep(params.dt_s));
+    }
+    if params.gravity_m_s2.iter().any(|g| !g.is_finite()) {
+        return Err(SimulationError::Gravity);
+    }
+    Ok(())
+}

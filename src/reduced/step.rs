@@ -1,0 +1,184 @@
+//! One implicit step of q̈ + D q̇ + f(q) = load + what pulls at points, with UᵀMU = I.
+
+use crate::ReducedModel;
+use crate::dense::SmallCholesky;
+use crate::interaction::Interactions;
+use faer::Mat;
+
+/// Reduced coordinates and their rates.
+#[derive(Clone, Debug)]
+pub(crate) struct State {
+    pub(crate) q: Vec<f64>,
+    pub(crate) velocity: Vec<f64>,
+    pub(crate) acceleration: Vec<f64>,
+}
+
+impl State {
+    pub(crate) fn at_rest(r: usize) -> State {
+        State { q: vec![0.0; r], velocity: vec![0.0; r], acceleration: vec![0.0; r] }
+    }
+
+    pub(crate) fn is_finite(&self) -> bool {
+        let all = [&self.q, &self.velocity, &self.acceleration];
+        all.into_iter().flatten().all(|x| x.is_finite())
+    }
+}
+
+/// How rates follow from the new q: velocity = v·(q − q₀) + …, acceleration likewise.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Scheme {
+    /// Newmark with β = 1/4, γ = 1/2: average acceleration, second order, no damping of its own.
+    Newmark,
+    /// Backward Euler: first order, damps what it does not resolve.
+    BackwardEuler,
+    /// No inertia and no damping: equilibrium at the end of each step.
+    QuasiStatic,
+}
+
+/// Newton iterations a step may take; two or three is usual.
+const MOST_NEWTON: u32 = 16;
+
+/// Times that one Newton step may be halved because the residual grew.
+const MOST_BACKTRACKS: u32 = 4;
+
+/// Residual relative to the forces in play at which a step is solved.
+const TOLERANCE: f64 = 1e-8;
+
+/// Shifts tried on an indefinite matrix, relative to its largest diagonal entry.
+const SHIFTS: [f64; 5] = [0.0, 1e-6, 1e-4, 1e-2, 1.0];
+
+/// What a step is made of.
+pub(crate) struct Step<'a> {
+    pub(crate) model: &'a ReducedModel,
+    pub(crate) damping: &'a Mat<f64>,
+    pub(crate) scheme: Scheme,
+    /// Reduced load (r numbers), constant over the step.
+    pub(crate) load: &'a [f64],
+    pub(crate) interactions: &'a Interactions<'a>,
+    pub(crate) dt: f64,
+}
+
+impl Step<'_> {
+    /// The state after the step; `None` if Newton's method fails or anything is not finite.
+    pub(crate) fn from(&self, start: &State, n_newton: &mut u32) -> Option<State> {
+        let r = self.model.r();
+        let [to_velocity, to_acceleration] = self.rates();
+        let mut q = start.q.clone();
+        let mut last: Option<(f64, Vec<f64>)> = None;
+        let mut backtracks = 0;
+        for _ in 0..MOST_NEWTON {
+            let State { velocity, acceleration, .. } = self.state_at(&q, start);
+            let sums = self.model.sums(&q, true);
+            let pull = (!self.interactions.are_none())
+                .then(|| self.interactions.pull(&q, &velocity, Some(to_velocity)));
+            let mut scale = 0.0;
+            let residual: Vec<f64> = (0..r)
+                .map(|i| {
+                    let damped: f64 = match self.scheme {
+                        Scheme::QuasiStatic => 0.0,
+                        _ => (0..r).map(|j| self.damping[(j, i)] * velocity[j]).sum(),
+                    };
+                    let pulled = pull.as_ref().map_or(0.0, |pull| pull.force[i]);
+                    let inertia = match self.scheme {
+                        Scheme::QuasiStatic => 0.0,
+                        _ => acceleration[i],
+                    };
+                    scale += self.load[i].powi(2)
+                        + sums.force[i].powi(2)
+                        + inertia.powi(2)
+                        + damped.powi(2)
+                        + pulled.powi(2);
+                    self.load[i] + pulled - inertia - damped - sums.force[i]
+                })
+                .collect();
+            let norm = residual.iter().map(|x| x * x).sum::<f64>();
+            if !scale.is_finite() {
+                // A step into the void can be taken back; a state that is there already cannot.
+                let (_, step) = last.as_ref()?;
+                backtracks += 1;
+                if backtracks > MOST_BACKTRACKS {
+                    return None;
+                }
+                retreat(&mut q, step, backtracks);
+                continue;
+            }
+            if norm <= TOLERANCE * TOLERANCE * scale {
+                return Some(State { q, velocity, acceleration });
+            }
+            if let Some((before, step)) = &last
+                && norm > *before
+                && backtracks < MOST_BACKTRACKS
+            {
+                backtracks += 1;
+                retreat(&mut q, step, backtracks);
+                continue;
+            }
+            let mut jacobian = sums.stiffness;
+            if let Some(stiffness) = pull.and_then(|pull| pull.stiffness) {
+                jacobian += stiffness;
+            }
+            for j in 0..r {
+                for i in 0..r {
+                    jacobian[(i, j)] += to_velocity * self.damping[(i, j)];
+                }
+                jacobian[(j, j)] += to_acceleration;
+            }
+            let step = solve(jacobian, &residual)?;
+            q.iter_mut().zip(&step).for_each(|(q, step)| *q += step);
+            last = Some((norm, step));
+            backtracks = 0;
+            *n_newton += 1;
+        }
+        None
+    }
+
+    /// Derivatives of velocity and acceleration by q.
+    fn rates(&self) -> [f64; 2] {
+        let dt = self.dt;
+        match self.scheme {
+            Scheme::Newmark => [2.0 / dt, 4.0 / (dt * dt)],
+            Scheme::BackwardEuler => [1.0 / dt, 1.0 / (dt * dt)],
+            Scheme::QuasiStatic => [0.0, 0.0],
+        }
+    }
+
+    /// `q` with its rates.
+    fn state_at(&self, q: &[f64], start: &State) -> State {
+        let dt = self.dt;
+        let of = |f: &dyn Fn(usize) -> f64| -> Vec<f64> { (0..q.len()).map(f).collect() };
+        let moved = |i: usize| q[i] - start.q[i];
+        let (velocity, acceleration) = match self.scheme {
+            Scheme::Newmark => (
+                of(&|i| 2.0 / dt * moved(i) - start.velocity[i]),
+                of(&|i| 4.0 / dt * (moved(i) / dt - start.velocity[i]) - start.acceleration[i]),
+            ),
+            Scheme::BackwardEuler => {
+                (of(&|i| moved(i) / dt), of(&|i| (moved(i) / dt - start.velocity[i]) / dt))
+            }
+            Scheme::QuasiStatic => (of(&|i| moved(i) / dt), vec![0.0; q.len()]),
+        };
+        State { q: q.to_vec(), velocity, acceleration }
+    }
+}
+
+/// Takes back half of what is left of `step` after `backtracks − 1` times.
+fn retreat(q: &mut [f64], step: &[f64], backtracks: u32) {
+    let share = 0.5f64.powi(backtracks as i32);
+    q.iter_mut().zip(step).for_each(|(q, step)| *q -= share * step);
+}
+
+/// J⁻¹·residual; an indefinite J is shifted until it descends.
+fn solve(mut jacobian: Mat<f64>, residual: &[f64]) -> Option<Vec<f64>> {
+    let r = residual.len();
+    let largest = (0..r).map(|i| jacobian[(i, i)].abs()).fold(0.0, f64::max);
+    let mut shifted = 0.0;
+    for shift in SHIFTS {
+        (0..r).for_each(|i| jacobian[(i, i)] += (shift - shifted) * largest);
+        shifted = shift;
+        if let Ok(factor) = SmallCholesky::new(jacobian.as_ref()) {
+            let step = factor.solve(Mat::from_fn(r, 1, |i, _| residual[i]).as_ref());
+            return Some(step.col_as_slice(0).to_vec());
+        }
+    }
+    None
+}
