@@ -1,0 +1,179 @@
+"""The daemon over Zenoh (``pip install sutura[zenoh]``)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from types import TracebackType
+from typing import Any
+
+import zenoh
+from typing_extensions import Self
+
+from .arrays import Generation
+from .documents import GenerationInfo, SessionInfo, read
+from .errors import ConnectionFailedError, DecodeError, NotFoundError, Problem, SuturaError, refusal
+from .frames import Frame
+from .sessions import AnySession, Force
+from .states import QueuedStates, StateStream
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+
+_PREFIX = "sutura/v1"
+_JSON = zenoh.Encoding.APPLICATION_JSON
+# How long an answer may take: an edit of a large body takes seconds, from scratch minutes.
+_QUERY_TIMEOUT_S = 600.0
+# Largest message accepted.
+_MAX_MESSAGE_BYTES = 1 << 30
+# Answers of these are small: they go before arrays of many megabytes.
+_URGENT = ("edits", "info")
+
+
+class ZenohClient:
+    """The daemons of a Zenoh network. A context manager, or ``close`` it."""
+
+    def __init__(self, endpoint: str = DEFAULT_ENDPOINT, config: zenoh.Config | None = None) -> None:
+        """Connect as a client to ``endpoint``, scouting off; or as ``config`` says."""
+        if config is None:
+            config = zenoh.Config()
+            for key, value in {
+                "mode": "client",
+                "connect/endpoints": [endpoint],
+                "scouting/multicast/enabled": False,
+                "scouting/gossip/enabled": False,
+                "transport/link/rx/max_message_size": _MAX_MESSAGE_BYTES,
+            }.items():
+                config.insert_json5(key, json.dumps(value))
+        try:
+            self._zenoh_session = zenoh.open(config)
+        except zenoh.ZError as error:
+            raise ConnectionFailedError(f"Zenoh: {error}") from error
+
+    def session(self, id: str) -> BusSession:
+        """The session named ``id``, whether or not it exists."""
+        return BusSession(self._zenoh_session, id)
+
+    def sessions(self) -> list[SessionInfo]:
+        """Every session of every daemon on the network."""
+        replies = self._zenoh_session.get(
+            f"{_PREFIX}/sessions/*/info",
+            timeout=_QUERY_TIMEOUT_S,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+        samples = (reply.ok for reply in replies)
+        found = [read(SessionInfo, _json(s.payload)) for s in samples if s is not None]
+        return sorted(found, key=lambda info: info.id)
+
+    def daemons(self) -> list[str]:
+        """The daemons that are up, by their names."""
+        prefix = f"{_PREFIX}/daemons/"
+        replies = self._zenoh_session.liveliness().get(f"{prefix}*")
+        keys = (str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+        return sorted(key.removeprefix(prefix) for key in keys)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._zenoh_session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+class BusSession(AnySession):
+    """A session, reached over Zenoh."""
+
+    def __init__(self, zenoh_session: zenoh.Session, id: str) -> None:
+        """Name the session ``id``, whether or not it exists."""
+        super().__init__(id)
+        self._zenoh_session = zenoh_session
+
+    def _key(self, resource: str) -> str:
+        return f"{_PREFIX}/sessions/{self.id}/{resource}"
+
+    def _query(self, resource: str, parameters: str = "", payload: bytes | None = None) -> bytes:
+        selector = f"{self._key(resource)}?{parameters}"
+        urgent = resource in _URGENT
+        try:
+            replies = self._zenoh_session.get(
+                selector,
+                timeout=_QUERY_TIMEOUT_S,
+                payload=payload,
+                encoding=None if payload is None else _JSON,
+                priority=zenoh.Priority.DATA if urgent else zenoh.Priority.DATA_LOW,
+            )
+            # Every daemon is asked; those that do not have the session say so (404). No daemon at all
+            # ends the replies at once.
+            refused: SuturaError | None = None
+            for reply in replies:
+                if reply.ok is not None:
+                    return reply.ok.payload.to_bytes()
+                if (reply.err is not None) and (refused is None or isinstance(refused, NotFoundError)):
+                    refused = refusal(_json(reply.err.payload))
+        except zenoh.ZError as error:
+            raise ConnectionFailedError(f"Zenoh: {error}") from error
+        absent = Problem("about:blank", "Absent", 404, f"nobody answers for {self._key(resource)}")
+        raise refused or NotFoundError(absent)
+
+    def _ask(self, resource: str, request: Mapping[str, Any] | None) -> Any:
+        payload = None if request is None else json.dumps(request).encode()
+        return _parse(self._query(resource, payload=payload))
+
+    def frame(self, resource: str, generation: Generation = "current", **parameters: str) -> Frame:
+        """Fetch the frame of a resource, such as ``basis``."""
+        given = {"generation": str(generation), **parameters}
+        return Frame(self._query(resource, ";".join(f"{k}={v}" for k, v in given.items())))
+
+    def push_forces(self, forces: Iterable[Force]) -> None:
+        """Add forces to the running simulation; those the daemon refuses are lost."""
+        try:
+            self._zenoh_session.put(
+                self._key("forces"),
+                json.dumps({"forces": list(forces)}),
+                encoding=_JSON,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.REAL_TIME,
+                express=True,
+            )
+        except zenoh.ZError as error:
+            raise ConnectionFailedError(f"Zenoh: {error}") from error
+
+    def states(self) -> StateStream:
+        """The states that the simulation publishes."""
+        stream = QueuedStates()
+        subscriber = self._zenoh_session.declare_subscriber(
+            self._key("state"), lambda sample: stream.push(sample.payload.to_bytes())
+        )
+        stream.on_close = subscriber.undeclare
+        return stream
+
+    def generations(self) -> Iterator[GenerationInfo]:
+        """Every new generation from now on."""
+        subscriber = self._zenoh_session.declare_subscriber(self._key("generation"))
+        return _generations(subscriber)
+
+
+def _generations(subscriber: Any) -> Iterator[GenerationInfo]:
+    try:
+        for sample in subscriber:
+            yield read(GenerationInfo, _json(sample.payload))
+    finally:
+        subscriber.undeclare()
+
+
+def _json(payload: zenoh.ZBytes) -> Any:
+    return _parse(payload.to_bytes())
+
+
+def _parse(data: bytes) -> Any:
+    try:
+        return json.loads(data)
+    except ValueError as error:
+        raise DecodeError(f"the answer is not JSON: {error}") from error
