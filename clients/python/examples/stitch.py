@@ -17,7 +17,7 @@ session = client.create(mesh, config=config, seams=pairs, progress=True)
 print("before:", session.info().frequencies_hz[:3], "Hz")
 session.simulate(gravity_m_s2=(0.0, -9.81, 0.0), publish_hz=30.0)
 tracker = sutura.Tracker(session)
-with session.states() as states, Film(film_path, mesh) as film:
+with session.states() as states, Film(film_path, session) as film:
     for state in states:
         film.add(tracker.displacement(state))
         if film.n_frames == 15:

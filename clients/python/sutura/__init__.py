@@ -13,7 +13,7 @@ basis in step with the stream's generations.
 """
 
 from . import edits
-from .arrays import Arrays, Block, Combination, Delta, Dictionary, reconstruct
+from .arrays import Arrays, Block, Combination, Delta, Dictionary, Stitches, reconstruct
 from .client import Client, material
 from .documents import (
     Certificate,
@@ -86,6 +86,7 @@ __all__ = [
     "State",
     "StateStream",
     "Stepper",
+    "Stitches",
     "SuturaError",
     "Tracker",
     "edits",

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from .errors import DecodeError, MismatchError
 from .evaluator import Evaluator
 from .frames import DType, FloatArray, Frame
+from .mesh import Mesh
 
 Generation: TypeAlias = int | Literal["current"]
 
@@ -67,10 +68,16 @@ class Combination:
         return Combination(frame.generation, int(n_vertices), blocks, columns, w, prepared)
 
 
+def _long(halves: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint64]:
+    """64-bit names, which travel as their lower and upper halves."""
+    halves = halves.astype(np.uint64)
+    names: npt.NDArray[np.uint64] = halves[:, 0] | halves[:, 1] << np.uint64(32)
+    return names
+
+
 def _blocks(frame: Frame, name: str, size_name: str) -> tuple[Block, ...]:
-    ids = frame.take(name, None, 2).astype(np.uint64)
-    sizes = frame.take(size_name, len(ids))
-    names = (ids[:, 0] | ids[:, 1] << np.uint64(32)).tolist()
+    names = _long(frame.take(name, None, 2)).tolist()
+    sizes = frame.take(size_name, len(names))
     if len(set(names)) != len(names):
         raise DecodeError(f"{name!r} names a block twice")
     return tuple(Block(id_, int(size)) for id_, size in zip(names, sizes, strict=True))
@@ -193,6 +200,18 @@ class Delta:
         return new.reshape(-1, *basis.shape[1:])
 
 
+@dataclass(frozen=True, eq=False)
+class Stitches:
+    """The stitches in force."""
+
+    pairs: npt.NDArray[np.uint32]
+    """(s, 2): the vertices that each joins."""
+    ids: npt.NDArray[np.uint64]
+    """(s,): their names, for edits of them."""
+    stiffness_n_m: npt.NDArray[np.float64]
+    """(s,)."""
+
+
 class Arrays(ABC):
     """The arrays of a session's generations. They are views of what arrived, not copies."""
 
@@ -215,6 +234,22 @@ class Arrays(ABC):
     def positions(self, generation: Generation = "current", dtype: DType = "f32") -> FloatArray:
         """Rest position of every vertex in m: (n_vertices, 3). A closing moves them."""
         return self.frame("positions", generation, dtype=dtype).take("positions", None, 3)
+
+    def tets(self, generation: Generation = "current") -> npt.NDArray[np.uint32]:
+        """The four corners of every tet, zero-based: (n_tets, 4)."""
+        return self.frame("tets", generation).take("tets", None, 4)
+
+    def mesh(self, generation: Generation = "current") -> Mesh:
+        """The body at rest; its domains are not known."""
+        positions = self.positions(generation, dtype="f64")
+        return Mesh.of(positions, self.tets(generation))
+
+    def stitches(self, generation: Generation = "current") -> Stitches:
+        """The stitches in force."""
+        frame = self.frame("stitches", generation, dtype="f64")
+        pairs = frame.take("pairs", None, 2)
+        ids = _long(frame.take("ids", len(pairs), 2))
+        return Stitches(pairs, ids, frame.take("stiffness_n_m", len(pairs)))
 
     def transfer(
         self, generation: Generation = "current", *, start: int, dtype: DType = "f32"

@@ -23,24 +23,26 @@ _SHOWN_FRACTION = 0.1
 _VIEWS: Mapping[str, Literal["yx", "xy", "xz"]] = {"x": "yx", "y": "xy", "z": "xz"}
 
 
-def grid(mesh: MeshSource, displacement: npt.ArrayLike | None = None) -> Any:
+def grid(body: MeshSource | Arrays, displacement: npt.ArrayLike | None = None) -> Any:
     """Make a PyVista grid of a body: domains as cell data, |u| in m as point data.
 
-    ``displacement`` is (n_vertices, 3); files are read with meshio.
+    ``body`` is a session or what ``Client.create`` takes, ``displacement`` (n_vertices, 3).
     """
-    body = as_mesh(mesh)
-    cells = np.insert(body.tets.astype(np.int64), 0, 4, axis=1).ravel()
-    types = np.full(len(body.tets), _TETRA, np.uint8)
-    made = pyvista.UnstructuredGrid(cells, types, body.vertices.copy())
-    made.cell_data["domain"] = body.domains
+    mesh = as_mesh(body)
+    cells = np.insert(mesh.tets.astype(np.int64), 0, 4, axis=1).ravel()
+    types = np.full(len(mesh.tets), _TETRA, np.uint8)
+    made = pyvista.UnstructuredGrid(cells, types, mesh.vertices.copy())
+    made.cell_data["domain"] = mesh.domains
     if displacement is not None:
-        displace(made, body, displacement)
+        displace(made, mesh, displacement)
     return made
 
 
-def as_mesh(source: MeshSource) -> Mesh:
-    """Make a Mesh of whatever ``Client.create`` takes."""
-    loaded = load(source)
+def as_mesh(body: MeshSource | Arrays) -> Mesh:
+    """Make a Mesh of a session, or of whatever ``Client.create`` takes (files with meshio)."""
+    if isinstance(body, Arrays):
+        return body.mesh()
+    loaded = load(body)
     return loaded if isinstance(loaded, Mesh) else Mesh.read(loaded)
 
 
@@ -53,25 +55,25 @@ def displace(shown: Any, mesh: Mesh, displacement: npt.ArrayLike) -> None:
     shown.point_data["|u| (m)"] = np.linalg.norm(u, axis=1)
 
 
-def mode(session: Arrays, mesh: MeshSource, index: int, generation: Generation = "current") -> Any:
+def mode(session: Arrays, index: int, generation: Generation = "current") -> Any:
     """Make a grid of one linear mode, scaled so that it can be seen."""
-    body = as_mesh(mesh)
-    shape = session.modes(generation)[index].astype(np.float64)
-    diagonal = float(np.linalg.norm(np.ptp(body.vertices, axis=0)))
+    return _mode(session.mesh(generation), session.modes(generation)[index])
+
+
+def _mode(mesh: Mesh, shape: FloatArray) -> Any:
+    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     largest = float(np.linalg.norm(shape, axis=1).max())
-    return grid(body, shape * (_SHOWN_FRACTION * diagonal / largest))
+    return grid(mesh, shape * (_SHOWN_FRACTION * diagonal / largest))
 
 
-def modes(
-    session: Arrays, mesh: MeshSource, n_modes: int = 6, generation: Generation = "current"
-) -> Any:
+def modes(session: Arrays, n_modes: int = 6, generation: Generation = "current") -> Any:
     """Make a plotter that shows the lowest modes side by side: ``show()`` it."""
-    body = as_mesh(mesh)
-    n_columns = min(3, n_modes)
-    plotter = pyvista.Plotter(shape=(-(-n_modes // n_columns), n_columns))
-    for index in range(n_modes):
+    mesh, shapes = session.mesh(generation), session.modes(generation)[:n_modes]
+    n_columns = min(3, len(shapes))
+    plotter = pyvista.Plotter(shape=(-(-len(shapes) // n_columns), n_columns))
+    for index, shape in enumerate(shapes):
         plotter.subplot(*divmod(index, n_columns))
-        plotter.add_mesh(mode(session, body, index, generation), show_scalar_bar=False)
+        plotter.add_mesh(_mode(mesh, shape), show_scalar_bar=False)
         plotter.add_text(f"mode {index + 1}", font_size=9)
     plotter.link_views()
     return plotter
@@ -83,13 +85,13 @@ class Film:
     def __init__(
         self,
         path: str | PathLike[str],
-        mesh: MeshSource,
+        body: MeshSource | Arrays,
         fps: int = 30,
         size: tuple[int, int] = (640, 480),
         up: Literal["x", "y", "z"] = "y",
     ) -> None:
         """Begin the film at ``path``, seen along an axis, ``up`` upwards."""
-        self._mesh = as_mesh(mesh)
+        self._mesh = as_mesh(body)
         self._grid = grid(self._mesh, np.zeros_like(self._mesh.vertices))
         self._plotter = pyvista.Plotter(off_screen=True, window_size=list(size))
         self._plotter.add_mesh(self._grid, color="lightcoral", show_edges=True)

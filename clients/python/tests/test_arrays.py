@@ -9,14 +9,14 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from conftest import SEAM, STIFFNESS_N_M, TIP, Daemon, prepared
+from conftest import SEAM, STIFFNESS_N_M, TIP, Daemon, bar, prepared
 
 import sutura
 from sutura.arrays import Arrays, Generation
 from sutura.bus import ZenohClient
 from sutura.frames import Frame
 
-SINGLE = ("modes", "basis", "mass", "positions")
+SINGLE = ("modes", "basis", "mass", "positions", "tets")
 
 
 def test_arrays_are_bit_equal_however_they_travel(
@@ -29,7 +29,8 @@ def test_arrays_are_bit_equal_however_they_travel(
             framed = session.frame(resource, dtype=dtype)
             assert framed.generation == 1
             array = framed[resource]
-            assert array.dtype == np.dtype(f"<f{int(dtype[1:]) // 8}")
+            wanted = "<u4" if resource == "tets" else f"<f{int(dtype[1:]) // 8}"
+            assert array.dtype == np.dtype(wanted)
             over_zenoh = bus.frame(resource, dtype=dtype)[resource]
             over_npy = client.npy(session.id, resource, dtype=dtype)  # type: ignore[arg-type]
             path = f"{daemon.http}/v1/sessions/{session.id}/generations/1/{resource}?dtype={dtype}"
@@ -41,6 +42,7 @@ def test_arrays_are_bit_equal_however_they_travel(
     for resource, parameters in [
         ("combination", {}),
         ("evaluator", {}),
+        ("stitches", {}),
         ("transfer", {"from": "0"}),
         ("delta", {"have": "0"}),
     ]:
@@ -49,6 +51,18 @@ def test_arrays_are_bit_equal_however_they_travel(
         assert list(over_http) == list(over_bus) and len(over_http) > 0
         for name in over_http:
             assert over_http[name].tobytes() == over_bus[name].tobytes(), name
+
+
+def test_the_body_and_its_stitches_come_back(session: sutura.Session) -> None:
+    reply = session.stitch(SEAM, STIFFNESS_N_M)
+    mesh = session.mesh()
+    np.testing.assert_array_equal(mesh.vertices, bar().vertices)
+    np.testing.assert_array_equal(mesh.tets, bar().tets)
+    stitches = session.stitches()
+    assert tuple(stitches.ids.tolist()) == reply.stitch_ids
+    np.testing.assert_array_equal(stitches.pairs, SEAM)
+    assert (stitches.stiffness_n_m == STIFFNESS_N_M).all()
+    assert len(session.stitches(0).ids) == 0
 
 
 def test_arrays_are_views_of_what_arrived(session: sutura.Session) -> None:

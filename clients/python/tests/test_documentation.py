@@ -43,7 +43,7 @@ def test_the_example_runs_and_stands_in_the_readme(daemon: Daemon, tmp_path: Pat
 def test_a_mode_is_drawn(session: sutura.Session) -> None:
     session.stitch(SEAM, STIFFNESS_N_M)
     mesh = bar()
-    drawn = plot.mode(session, mesh, 0)
+    drawn = plot.mode(session, 0)
     assert (drawn.n_points, drawn.n_cells) == (90, 192)
     moved = np.linalg.norm(drawn.points - mesh.vertices, axis=1)
     diagonal = np.linalg.norm(np.ptp(mesh.vertices, axis=0))
@@ -52,7 +52,7 @@ def test_a_mode_is_drawn(session: sutura.Session) -> None:
     again = sutura.Mesh.of_grid(plot.grid(mesh))
     assert (again.tets == mesh.tets).all() and (again.domains == mesh.domains).all()
     pyvista.OFF_SCREEN = True
-    plotter = plot.modes(session, mesh, 4)
+    plotter = plot.modes(session, 4)
     picture = plotter.screenshot(return_img=True)
     assert picture.std() > 1
     plotter.close()
