@@ -17,6 +17,7 @@ mod stream;
 #[cfg(test)]
 pub(crate) mod tests;
 mod upload;
+mod viewer;
 
 pub use router::router;
 pub use serve::serve;

@@ -278,7 +278,7 @@ const ROUTES: &[Route] = &[
         reply: Body::Bytes(&[STATE]),
         problems: &[Kind::UpgradeRequired],
     },
-    operation("/", "A page that names the API", &["text/html"], &[]),
+    operation("/", "The viewer, a page", &["text/html"], &[]),
     operation("/healthz", "Whether the process answers", &["text/plain"], &[]),
     operation("/readyz", "Whether new work is welcome", &["text/plain"], &[Kind::ShuttingDown]),
     operation("/metrics", "Measurements in Prometheus' text format", &["text/plain"], &[]),

@@ -7,7 +7,7 @@ use crate::problem::{Kind, Problem};
 use axum::Json;
 use axum::extract::State;
 use axum::http::header;
-use axum::response::{Html, IntoResponse};
+use axum::response::IntoResponse;
 use utoipa::openapi::OpenApi;
 
 /// GET /healthz: the process answers.
@@ -32,9 +32,4 @@ pub(super) async fn metrics(State(gateway): State<Gateway>) -> impl IntoResponse
 /// GET /openapi.json
 pub(super) async fn openapi() -> Json<OpenApi> {
     Json(openapi::document())
-}
-
-/// GET /
-pub(super) async fn root() -> Html<&'static str> {
-    Html(include_str!("root.html"))
 }

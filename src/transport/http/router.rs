@@ -1,7 +1,9 @@
 //! The whole HTTP API.
 
 use super::extract::{no_method, no_route};
-use super::{edit, evaluate, event, generation, layers, operations, session, simulation, stream};
+use super::{
+    edit, evaluate, event, generation, layers, operations, session, simulation, stream, viewer,
+};
 use crate::conversion::array::ArrayKind;
 use crate::gateway::Gateway;
 use axum::Router;
@@ -60,7 +62,7 @@ fn api() -> Vec<(&'static str, MethodRouter<Gateway>)> {
 /// What the people who run the daemon ask for: always answered.
 fn operations() -> Vec<(&'static str, MethodRouter<Gateway>)> {
     vec![
-        ("/", get(operations::root)),
+        ("/", get(viewer::page)),
         ("/healthz", get(operations::healthz)),
         ("/readyz", get(operations::readyz)),
         ("/metrics", get(operations::metrics)),
@@ -78,6 +80,7 @@ pub fn router(gateway: Gateway) -> Router {
     let api = layers::shed_load(routes(api()), &gateway);
     let router = api
         .merge(routes(operations()))
+        .merge(viewer::assets())
         .fallback(no_route)
         .method_not_allowed_fallback(no_method)
         .layer(DefaultBodyLimit::max(gateway.limits().max_document_bytes))

@@ -1,0 +1,367 @@
+/**
+ * What the body on the stage does: it follows the simulation, swings in its modes, answers to a pull in
+ * two bases side by side, or rests.
+ */
+
+import * as three from 'three'
+import type { Force, Session, Shapes, StateFrame, StateStream } from '../client/index.js'
+import type { App } from './app.js'
+import type { Body, GenerationData } from './body.js'
+import { Signal } from './signal.js'
+import type { Stage } from './stage.js'
+import { StaticModel, displacementAt } from './statics.js'
+import type { Vector } from './statics.js'
+
+/** Requests with forces under way at the same time; beyond, a moment of the pull is left out. */
+const MAX_FORCES_UNDER_WAY = 6
+/** The largest displacement of a mode at full amplitude, of the body's diagonal. */
+const MODE_AMPLITUDE = 0.08
+/** The slowest mode is shown at this frequency in Hz, the others in proportion up to the other. */
+const MODE_HZ = [0.6, 2.4] as const
+
+/** A vertex that is pulled at. */
+interface Pull {
+  readonly row: number
+  /** Where the vertex was when the pull began. */
+  readonly start: three.Vector3
+  /** Where the pointer is. */
+  target: three.Vector3
+  /** N/m: how hard the body resists there. */
+  stiffness: number
+}
+
+/** Two bases under the same load. */
+export interface Comparison {
+  /** The generation whose basis is on the left. */
+  readonly old: GenerationData
+  /** How far the vertex pulled at moves, left and right, in m. */
+  readonly moved: readonly [number, number]
+  /** The pull in N. */
+  readonly force: number
+}
+
+interface CompareModels {
+  readonly old: GenerationData
+  readonly oldModel: StaticModel
+  readonly newModel: StaticModel
+  row: number
+  force: Vector
+}
+
+export class Motion {
+  readonly comparison = new Signal<Comparison | undefined>(undefined)
+  /** The latest state of the simulation. */
+  readonly state = new Signal<StateFrame | undefined>(undefined)
+  /** The pull in N, while there is one. */
+  readonly pullForce = new Signal<number | undefined>(undefined)
+  /** How hard the pointer pulls. */
+  pullStrength = 1
+  /** Gravity in m/s² of a simulation that a pull starts. */
+  gravity = 0
+
+  #stream: StateStream | undefined
+  #amplitudes: Float64Array | undefined
+  #modes: { generation: number; shapes: Shapes; hertz: readonly number[] } | undefined
+  #phase = 0
+  #lastSeconds = 0
+  #models: CompareModels | undefined
+  #model: { generation: number; model: Promise<StaticModel> } | undefined
+  #pull: Pull | undefined
+  #q: ArrayLike<number> = []
+  #lastForceTime = -1
+  #nUnderWay = 0
+
+  constructor(
+    private readonly app: App,
+    private readonly stage: Stage,
+  ) {
+    app.body.subscribe((body) => this.#setBody(body))
+    app.generation.subscribe(() => void this.#changeGeneration())
+    app.isSimulating.subscribe((running) => {
+      if (!running) this.state.value = undefined
+      this.#show()
+    })
+    stage.onFrame = (seconds) => this.#swing(seconds)
+  }
+
+  /** Amplitudes of the modes, each from 0 to 1. */
+  async setAmplitudes(amplitudes: Float64Array): Promise<void> {
+    this.#amplitudes = amplitudes.some((amplitude) => amplitude !== 0) ? amplitudes : undefined
+    const generation = this.app.generation.value
+    if (this.#amplitudes && this.#modes?.generation !== generation) await this.#fetchModes()
+    this.stage.isAnimated =
+      this.#amplitudes !== undefined && !matchMedia('(prefers-reduced-motion: reduce)').matches
+    this.#show()
+  }
+
+  /** Shows the basis of the generation `old` beside the current one, or stops that. */
+  async compare(old: number | undefined): Promise<void> {
+    const body = this.app.body.value
+    if (old === undefined || !body) {
+      this.#endComparison()
+      return
+    }
+    try {
+      const data = await body.other(old)
+      const { session, surface, current } = body
+      const [oldModel, newModel] = await Promise.all([
+        StaticModel.of(session, surface, data, current.stitches),
+        StaticModel.of(session, surface, current),
+      ])
+      if (this.app.body.value !== body) return
+      const load = telling(oldModel, newModel, body)
+      this.#models = { old: data, oldModel, newModel, ...load }
+      this.stage.setOther(data)
+    } catch (error) {
+      this.#endComparison()
+      this.app.report(error)
+    }
+    this.#show()
+  }
+
+  #endComparison(): void {
+    this.#models = undefined
+    this.comparison.value = undefined
+    this.stage.setOther(undefined)
+    this.stage.showPull([])
+    this.#show()
+  }
+
+  /** Pulls at the vertex of `row` from `start`, where it is. */
+  async beginPull(row: number, start: three.Vector3): Promise<void> {
+    const body = this.app.body.value
+    if (!body) return
+    const pull = { row, start, target: start.clone(), stiffness: 0 }
+    this.#pull = pull
+    try {
+      if (!this.#models && !this.app.isSimulating.value) {
+        if (!(await this.app.simulate(this.gravity))) return this.endPull()
+      }
+      const compliance = (await this.#staticModel(body)).compliance(row)
+      pull.stiffness = 1 / Math.max(compliance, 1e-12)
+    } catch (error) {
+      this.app.report(error)
+      this.endPull()
+    }
+    this.#show()
+  }
+
+  /** The pointer is at `target` now. */
+  movePull(target: three.Vector3): void {
+    if (!this.#pull) return
+    this.#pull.target = target
+    this.#show()
+  }
+
+  endPull(): void {
+    this.#pull = undefined
+    this.pullForce.value = undefined
+    if (!this.#models) this.stage.showPull([])
+    this.#show()
+  }
+
+  /** The force of the pull now, in N. */
+  #force(pull: Pull): Vector {
+    const [x, y, z] = pull.target
+      .clone()
+      .sub(pull.start)
+      .multiplyScalar(pull.stiffness * this.pullStrength)
+      .toArray()
+    return [x, y, z]
+  }
+
+  #setBody(body: Body | undefined): void {
+    this.#stream?.close()
+    this.#stream = undefined
+    this.#modes = undefined
+    this.#amplitudes = undefined
+    this.#models = undefined
+    this.#model = undefined
+    this.#pull = undefined
+    this.comparison.value = undefined
+    this.state.value = undefined
+    this.stage.isAnimated = false
+    this.stage.setBody(body)
+    if (body) void this.#listen(body.session)
+  }
+
+  async #changeGeneration(): Promise<void> {
+    const body = this.app.body.value
+    if (!body || this.app.generation.value === undefined) return
+    this.stage.refreshBody()
+    if (this.#amplitudes) await this.#fetchModes()
+    if (this.#models) {
+      const old = this.#models.old.generation
+      await this.compare(old === body.current.generation ? undefined : old)
+    }
+    this.#show()
+  }
+
+  /** Follows the states that the daemon publishes. */
+  async #listen(session: Session): Promise<void> {
+    const stream = session.states()
+    this.#stream = stream
+    try {
+      for await (const state of stream) {
+        if (this.#stream !== stream) return
+        this.app.noteState()
+        this.#pushForce(session, state)
+        this.state.value = state
+        this.#show()
+      }
+    } catch (error) {
+      if (this.#stream === stream) this.app.report(error)
+    }
+  }
+
+  /** The force of this moment: it acts until the next state is due. */
+  #pushForce(session: Session, state: StateFrame): void {
+    const duration = state.timeSeconds - this.#lastForceTime
+    this.#lastForceTime = state.timeSeconds
+    const pull = this.#pull
+    if (!pull || pull.stiffness === 0 || this.#models) return
+    if (!(duration > 0 && duration < 0.2) || this.#nUnderWay >= MAX_FORCES_UNDER_WAY) return
+    const vertex = this.app.body.value?.surface.vertices[pull.row]
+    const force = this.#force(pull)
+    if (vertex === undefined || Math.hypot(...force) === 0) return
+    const given: Force = { vertex, force_n: [...force], duration_s: duration }
+    this.#nUnderWay += 1
+    session
+      .pushForces([given])
+      .catch((error: unknown) => this.app.report(error))
+      .finally(() => (this.#nUnderWay -= 1))
+  }
+
+  /** Poses what is on the stage. */
+  #show(): void {
+    const body = this.app.body.value
+    if (!body) return
+    if (this.#models) return this.#showComparison(this.#models)
+    const state = this.state.value
+    const { shapes } = body.current
+    if (this.#amplitudes && this.#modes) {
+      this.stage.invalidate()
+    } else if (this.app.isSimulating.value && state?.generation === shapes.generation) {
+      this.#q = state.q
+      this.stage.pose('body', shapes, state.q, state.rigid)
+    } else if (!this.app.isSimulating.value || state === undefined) {
+      this.#q = new Float64Array(shapes.size)
+      this.stage.pose('body', shapes, this.#q)
+    }
+    this.#showPull(body)
+  }
+
+  #showPull(body: Body): void {
+    const pull = this.#pull
+    if (!pull) return
+    this.pullForce.value = Math.hypot(...this.#force(pull))
+    const { shapes } = body.current
+    const from = this.#at(body, body.current, pull.row, displacementAt(shapes, pull.row, this.#q))
+    this.stage.showPull([{ from, to: pull.target }])
+  }
+
+  #showComparison(models: CompareModels): void {
+    const body = this.app.body.value
+    if (!body) return
+    const pull = this.#pull
+    if (pull && pull.stiffness > 0) {
+      models.row = pull.row
+      models.force = this.#force(pull)
+    }
+    const { row, force } = models
+    const sides = [
+      { data: body.current, model: models.newModel, which: 'body' },
+      { data: models.old, model: models.oldModel, which: 'other' },
+    ] as const
+    const ends = sides.map(({ data, model, which }) => {
+      const q = model.respond(row, force)
+      this.stage.pose(which, data.shapes, q)
+      const moved = model.displacement(row, q)
+      return { from: this.#at(body, data, row, moved), moved: Math.hypot(...moved) }
+    })
+    const size = Math.hypot(...force)
+    const along = new three.Vector3(...force).setLength(size > 0 ? 0.16 * body.diagonal : 0)
+    this.stage.showPull(
+      ends.map(({ from }) => ({ from, to: pull ? pull.target : from.clone().add(along) })),
+    )
+    const moved = [ends[1]!.moved, ends[0]!.moved] as const
+    this.comparison.value = { old: models.old, moved, force: size }
+  }
+
+  /** Where the vertex of `row` is, displaced by `u`. */
+  #at(body: Body, data: GenerationData, row: number, u: Vector): three.Vector3 {
+    const vertex = 3 * body.surface.vertices[row]!
+    const rest = new three.Vector3(...data.positions.subarray(vertex, vertex + 3))
+    return rest.add(new three.Vector3(...u))
+  }
+
+  /** Goes on with the swing of the modes. */
+  #swing(seconds: number): void {
+    const passed = Math.min(0.1, seconds - this.#lastSeconds)
+    this.#lastSeconds = seconds
+    const [amplitudes, modes] = [this.#amplitudes, this.#modes]
+    if (!amplitudes || !modes || this.#models) return
+    this.#phase += passed
+    const slowest = modes.hertz.find((hertz) => hertz > 0) ?? 1
+    const q = Float64Array.from(amplitudes, (amplitude, k) => {
+      const hertz = Math.min(MODE_HZ[1], (MODE_HZ[0] * (modes.hertz[k] ?? 0)) / slowest)
+      const swing = this.stage.isAnimated ? Math.sin(2 * Math.PI * hertz * this.#phase) : 1
+      return amplitude * swing
+    })
+    this.stage.pose('body', modes.shapes, q.subarray(0, modes.shapes.size))
+  }
+
+  async #fetchModes(): Promise<void> {
+    const body = this.app.body.value
+    const generation = this.app.generation.value
+    if (!body || generation === undefined) return
+    const { data, shape } = await body.session.modes(generation)
+    const [size = 0, nVertices = 0] = shape
+    const { vertices } = body.surface
+    const columns = Array.from({ length: size }, (_, k) => {
+      const column = new Float32Array(3 * vertices.length)
+      let largest = 0
+      vertices.forEach((vertex, row) => {
+        const at = 3 * (k * nVertices + vertex)
+        column.set(data.subarray(at, at + 3), 3 * row)
+        largest = Math.max(largest, Math.hypot(data[at]!, data[at + 1]!, data[at + 2]!))
+      })
+      const scale = largest > 0 ? (MODE_AMPLITUDE * body.diagonal) / largest : 0
+      return { name: `mode ${k} of ${generation}`, data: column.map((x) => scale * x) }
+    })
+    const coefficients = (q: ArrayLike<number>) => Float64Array.from(q)
+    const hertz = this.app.frequencies.get(generation) ?? []
+    this.#modes = { generation, shapes: { generation, size, columns, coefficients }, hertz }
+  }
+
+  #staticModel(body: Body): Promise<StaticModel> {
+    const { generation } = body.current
+    if (this.#model?.generation !== generation) {
+      const model = StaticModel.of(body.session, body.surface, body.current)
+      this.#model = { generation, model }
+    }
+    return this.#model!.model
+  }
+}
+
+/** Of some vertices and the three axes, where a pull shows best that one basis gives way and the other does
+ * not; as strong as can be seen well. */
+function telling(stiff: StaticModel, soft: StaticModel, body: Body): { row: number; force: Vector } {
+  const n = body.surface.vertices.length
+  const step = Math.max(1, Math.floor(n / 150))
+  let best = { row: 0, axis: 0, gain: -Infinity, compliance: 1 }
+  for (let row = 0; row < n; row += step) {
+    for (let axis = 0; axis < 3; axis++) {
+      const unit: [number, number, number] = [0, 0, 0]
+      unit[axis] = 1
+      const [compliance, other] = [soft, stiff].map(
+        (model) => model.displacement(row, model.respond(row, unit))[axis]!,
+      )
+      const gain = compliance! - other!
+      if (gain > best.gain) best = { row, axis, gain, compliance: compliance! }
+    }
+  }
+  const force: [number, number, number] = [0, 0, 0]
+  force[best.axis] = (0.12 * body.diagonal) / Math.max(best.compliance, 1e-30)
+  return { row: best.row, force }
+}
