@@ -3152,7 +3152,7 @@ export interface components {
          * @description How the reduced equations of motion are integrated.
          * @enum {string}
          */
-        IntegratorConfig: "implicit_newmark";
+        IntegratorConfig: "implicit_newmark" | "backward_euler" | "modal_oscillators" | "quasi_static";
         /**
          * @description How mass is distributed.
          * @enum {string}
@@ -3169,6 +3169,11 @@ export interface components {
             law: components["schemas"]["MaterialLaw"];
             /**
              * Format: double
+             * @description C₀₁/(C₁₀ + C₀₁), 0 to 1, of a `mooney_rivlin` material. Default: 0.2.
+             */
+            mooney_ratio?: number | null;
+            /**
+             * Format: double
              * @description Poisson's ratio, strictly between −1 and 0.5.
              */
             poisson_ratio: number;
@@ -3182,7 +3187,7 @@ export interface components {
          * @description A constitutive law.
          * @enum {string}
          */
-        MaterialLaw: "stvk";
+        MaterialLaw: "linear" | "stvk" | "neo_hookean" | "mooney_rivlin" | "corotational";
         /** @description A tetrahedral mesh, inline. */
         MeshConfig: {
             /** @description The domain label of each tet; empty for a single domain 0. */
@@ -3246,6 +3251,8 @@ export interface components {
             name?: string | null;
             /** @description Candidate stitch pairs to prepare ahead (zero-based vertices). */
             seams?: number[][];
+            /** @description How many times as stiff each tet is as the material of its domain; empty if all are alike. */
+            tet_stiffness?: number[];
         };
         /**
          * @description A session. Counts that a build has yet to find are 0, and lists empty, while `state` is
