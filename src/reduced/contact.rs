@@ -117,23 +117,6 @@ impl LocalObstacle {
             }
         }
     }
-
-    /// Derivative of the direction by position.
-    fn curvature(&self, normal: &Vector3<f64>, y: &Vector3<f64>) -> Mat3 {
-        match self {
-            LocalObstacle::Plane { .. } => Mat3::zeros(),
-            LocalObstacle::Capsule { from, axis, .. } => {
-                let along = axis.norm_squared();
-                let t = if along > 0.0 { (y - from).dot(axis) / along } else { 0.0 };
-                let length = (y - from - axis * t.clamp(0.0, 1.0)).norm();
-                let mut across = Mat3::identity() - normal * normal.transpose();
-                if along > 0.0 && t > 0.0 && t < 1.0 {
-                    across -= axis * axis.transpose() / along;
-                }
-                if length > 0.0 { across / length } else { Mat3::zeros() }
-            }
-        }
-    }
 }
 
 /// How obstacles push back.
@@ -141,8 +124,9 @@ impl LocalObstacle {
 pub struct Contact {
     /// Pressure for each metre of depth, in Pa/m.
     pub stiffness_pa_m: f64,
-    /// Damping of the motion into the obstacle, as a time: pressure for each m/s is this times the stiffness.
-    pub damping_s: f64,
+    /// Damping of the motion into the obstacle: at 1 m/s the pressure grows by this fraction (Hunt and
+    /// Crossley 1975: in proportion to the depth, so that no force sets in at once).
+    pub damping_s_m: f64,
     /// Coulomb's coefficient of friction.
     pub friction: f64,
     /// Sliding slower than this in m/s meets friction in proportion to its speed: what sticks creeps, and this
@@ -155,33 +139,37 @@ pub(crate) struct Touch {
     /// How deep, in m.
     depth: f64,
     normal: Vector3<f64>,
-    curvature: Mat3,
     /// Velocity relative to the obstacle.
     velocity: Vector3<f64>,
 }
 
 impl Contact {
     pub(crate) fn force(&self, touch: &Touch, area_m2: f64) -> PointForce {
-        let Touch { depth, normal, curvature, velocity } = touch;
-        let stiffness_n_m = self.stiffness_pa_m * area_m2;
+        let Touch { depth, normal, velocity } = touch;
         let approach = -normal.dot(velocity);
-        // Damping resists going in and never holds back what leaves.
-        let damped = self.damping_s * approach;
-        let pressing = damped > -depth;
-        let push = if pressing { stiffness_n_m * (depth + damped) } else { 0.0 };
-        let along_normal = normal * normal.transpose();
-        let mut at =
-            PointForce { force: normal * push, stiffness: Mat3::zeros(), damping: Mat3::zeros() };
-        if pressing {
-            // Only what keeps the matrix positive: pushed out of a ball, points spread.
-            at.stiffness = along_normal * stiffness_n_m - curvature * push.min(0.0);
-            at.damping = along_normal * (stiffness_n_m * self.damping_s);
+        // Never holds back what leaves.
+        let factor = (1.0 + self.damping_s_m * approach).max(0.0);
+        let rate = if factor > 0.0 { self.damping_s_m } else { 0.0 };
+        let stiffness_n_m = self.stiffness_pa_m * area_m2 * factor;
+        let damping_n_s_m = self.stiffness_pa_m * area_m2 * depth * rate;
+        let push = stiffness_n_m * depth;
+        let across = Mat3::identity() - normal * normal.transpose();
+        let sliding = across * velocity;
+        let speed = sliding.norm();
+        let direction = sliding / speed.max(self.creep_m_s);
+        // The change of the direction; none along itself where the speed is above the creep.
+        let turning = match speed > self.creep_m_s {
+            true => (across - direction * direction.transpose()) / speed,
+            false => across / self.creep_m_s,
+        };
+        // Both parts grow with the pressure. That the normal turns along a curved obstacle only softens
+        // the matrix, and is left out.
+        let along = (normal - direction * self.friction) * normal.transpose();
+        PointForce {
+            force: (normal - direction * self.friction) * push,
+            stiffness: along * stiffness_n_m,
+            damping: along * damping_n_s_m + turning * (self.friction * push),
         }
-        let sliding = velocity + normal * approach;
-        let resistance = self.friction * push / sliding.norm().max(self.creep_m_s);
-        at.force -= sliding * resistance;
-        at.damping += (Mat3::identity() - along_normal) * resistance;
-        at
     }
 }
 
@@ -307,16 +295,17 @@ impl ContactSurface {
         if obstacles.is_empty() {
             return;
         }
-        let q: Vec<f32> = q.iter().map(|x| *x as f32).collect();
-        let velocity: Vec<f32> = velocity.iter().map(|x| *x as f32).collect();
-        let displaced = |rows: &[f32], q: &[f32]| {
-            Vector3::from_fn(|axis, _| f64::from(inner(&rows[axis * self.r..][..self.r], q)))
+        // In double precision: with q rounded, forces would be rough by more than Newton's method has to
+        // reach.
+        let displaced = |rows: &[f32], q: &[f64]| {
+            Vector3::from_fn(|axis, _| inner(&rows[axis * self.r..][..self.r], q))
         };
         for cluster in &self.clusters {
-            let center = cluster.center - placement.origin + displaced(&cluster.mean, &q);
-            let spread: f32 = cluster.deviation.iter().zip(&q).map(|(d, q)| d * q.abs()).sum();
-            // Single precision may be short by its rounding.
-            let radius = cluster.radius + 1.0001 * f64::from(spread);
+            let center = cluster.center - placement.origin + displaced(&cluster.mean, q);
+            let spread =
+                cluster.deviation.iter().zip(q).map(|(d, q)| f64::from(*d) * q.abs()).sum::<f64>();
+            // Rows in single precision may be short by their rounding.
+            let radius = cluster.radius + 1.0001 * spread;
             let near = |obstacle: &&LocalObstacle| obstacle.distance(&center).0 <= radius;
             let near: Vec<&LocalObstacle> = obstacles.iter().filter(near).collect();
             if near.is_empty() {
@@ -324,7 +313,7 @@ impl ContactSurface {
             }
             for vertex in cluster.first..cluster.first + cluster.count {
                 let rows = self.rows(vertex);
-                let y = Vector3::from(self.rest[vertex]) - placement.origin + displaced(rows, &q);
+                let y = Vector3::from(self.rest[vertex]) - placement.origin + displaced(rows, q);
                 for obstacle in &near {
                     let (distance, normal) = obstacle.distance(&y);
                     if distance < 0.0 {
@@ -332,8 +321,7 @@ impl ContactSurface {
                         let touch = Touch {
                             depth: -distance,
                             normal,
-                            curvature: obstacle.curvature(&normal, &y),
-                            velocity: speed + displaced(rows, &velocity),
+                            velocity: speed + displaced(rows, velocity),
                         };
                         found(vertex, y, touch);
                     }
@@ -364,15 +352,18 @@ fn sort_by_place(order: &mut [usize], vertices: &[SurfaceVertex]) {
     sort_by_place(right, vertices);
 }
 
-fn inner(x: &[f32], y: &[f32]) -> f32 {
+fn inner(x: &[f32], y: &[f64]) -> f64 {
     const LANES: usize = 8;
     let mut sum = [0.0; LANES];
-    let (chunks, rest) = (x.chunks_exact(LANES), x.chunks_exact(LANES).remainder());
-    for (x, y) in chunks.zip(y.chunks_exact(LANES)) {
+    let (x_rest, y_rest) = (x.chunks_exact(LANES).remainder(), y.chunks_exact(LANES).remainder());
+    for (x, y) in x.chunks_exact(LANES).zip(y.chunks_exact(LANES)) {
         for lane in 0..LANES {
-            sum[lane] += x[lane] * y[lane];
+            sum[lane] += f64::from(x[lane]) * y[lane];
         }
     }
-    let tail = rest.iter().zip(&y[x.len() - rest.len()..]).map(|(x, y)| x * y).sum::<f32>();
-    sum.iter().sum::<f32>() + tail
+    let tail = x_rest.iter().zip(y_rest).map(|(x, y)| f64::from(*x) * y).sum::<f64>();
+    sum.iter().sum::<f64>() + tail
 }
+
+#[cfg(test)]
+mod tests;

@@ -88,6 +88,13 @@ impl SmallCholesky {
     }
 }
 
+/// A⁻¹B of a square matrix, by elimination with partial pivoting; not finite if A is singular.
+pub fn solve_unsymmetric(a: MatRef<'_, f64>, b: MatRef<'_, f64>) -> Mat<f64> {
+    use faer::prelude::Solve;
+    sequential();
+    a.partial_piv_lu().solve(b)
+}
+
 /// L⁻¹ of a lower triangular matrix.
 pub fn lower_inverse(l: MatRef<'_, f64>) -> Mat<f64> {
     let mut inverse = Mat::<f64>::identity(l.nrows(), l.nrows());

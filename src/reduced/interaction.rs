@@ -121,6 +121,13 @@ impl<'a> Interactions<'a> {
         }
     }
 
+    /// Whether forces may have an unsymmetric derivative: friction, or damping in a frame that turns.
+    pub(crate) fn are_unsymmetric(&self) -> bool {
+        let have_friction =
+            self.contact.as_ref().is_some_and(|(_, contact)| contact.friction > 0.0);
+        have_friction || self.placement.omega != Vector3::zeros()
+    }
+
     pub(crate) fn are_none(&self) -> bool {
         self.grabs.is_empty() && self.obstacles.is_empty()
     }
@@ -137,6 +144,8 @@ impl<'a> Interactions<'a> {
         // Rows of all points one below the other, and stiffness times rows.
         let mut rows: Vec<f64> = Vec::new();
         let mut responses: Vec<f64> = Vec::new();
+        // What moves on in a frame that turns is faster there.
+        let turning = self.placement.omega.cross_matrix();
         let mut add = |y: Vector3<f64>, row: &dyn Fn(usize, usize) -> f64, at: PointForce| {
             pull.total[0] += at.force;
             pull.total[1] += y.cross(&at.force);
@@ -144,7 +153,7 @@ impl<'a> Interactions<'a> {
                 *f += (0..3).map(|axis| row(axis, i) * at.force[axis]).sum::<f64>();
             }
             if let Some(rate) = rate {
-                let k = at.stiffness + at.damping * rate;
+                let k = at.stiffness + at.damping * (Mat3::identity() * rate + turning);
                 for axis in 0..3 {
                     rows.extend((0..r).map(|i| row(axis, i)));
                     let entry = |i| (0..3).map(|b| k[(axis, b)] * row(b, i)).sum::<f64>();

@@ -1,7 +1,7 @@
 //! One implicit step of q̈ + D q̇ + f(q) = load + what pulls at points, with UᵀMU = I.
 
 use crate::ReducedModel;
-use crate::dense::SmallCholesky;
+use crate::dense::{self, SmallCholesky};
 use crate::interaction::Interactions;
 use faer::Mat;
 
@@ -35,11 +35,16 @@ pub(crate) enum Scheme {
     QuasiStatic,
 }
 
-/// Newton iterations a step may take; two or three is usual.
-const MOST_NEWTON: u32 = 16;
+/// Evaluations a step may take, those after a Newton step was halved included; two or three is usual. An
+/// equilibrium is found once where a motion takes many small steps.
+const MOST_EVALUATIONS: [u32; 2] = [24, 100];
 
-/// Times that one Newton step may be halved because the residual grew.
-const MOST_BACKTRACKS: u32 = 4;
+/// Times that one Newton step may be halved.
+const MOST_BACKTRACKS: u32 = 10;
+
+/// A Newton step is too long if the residual at its end opposes it by more than this fraction of what was
+/// for it at its beginning: along it the potential then has its minimum well before.
+const OVERSHOOT: f64 = 0.7;
 
 /// Residual relative to the forces in play at which a step is solved.
 const TOLERANCE: f64 = 1e-8;
@@ -64,9 +69,10 @@ impl Step<'_> {
         let r = self.model.r();
         let [to_velocity, to_acceleration] = self.rates();
         let mut q = start.q.clone();
+        // The last Newton step, and the residual's part along it where it began.
         let mut last: Option<(f64, Vec<f64>)> = None;
         let mut backtracks = 0;
-        for _ in 0..MOST_NEWTON {
+        for _ in 0..MOST_EVALUATIONS[usize::from(self.scheme == Scheme::QuasiStatic)] {
             let State { velocity, acceleration, .. } = self.state_at(&q, start);
             let sums = self.model.sums(&q, true);
             let pull = (!self.interactions.are_none())
@@ -106,7 +112,7 @@ impl Step<'_> {
                 return Some(State { q, velocity, acceleration });
             }
             if let Some((before, step)) = &last
-                && norm > *before
+                && inner(&residual, step) < -OVERSHOOT * before
                 && backtracks < MOST_BACKTRACKS
             {
                 backtracks += 1;
@@ -123,9 +129,9 @@ impl Step<'_> {
                 }
                 jacobian[(j, j)] += to_acceleration;
             }
-            let step = solve(jacobian, &residual)?;
+            let step = solve(jacobian, &residual, self.interactions.are_unsymmetric())?;
             q.iter_mut().zip(&step).for_each(|(q, step)| *q += step);
-            last = Some((norm, step));
+            last = Some((inner(&residual, &step), step));
             backtracks = 0;
             *n_newton += 1;
         }
@@ -167,18 +173,30 @@ fn retreat(q: &mut [f64], step: &[f64], backtracks: u32) {
     q.iter_mut().zip(step).for_each(|(q, step)| *q -= share * step);
 }
 
-/// J⁻¹·residual; an indefinite J is shifted until it descends.
-fn solve(mut jacobian: Mat<f64>, residual: &[f64]) -> Option<Vec<f64>> {
+/// J⁻¹·residual; a J whose symmetric part is indefinite is shifted until it descends. Friction makes it
+/// unsymmetric.
+fn solve(mut jacobian: Mat<f64>, residual: &[f64], is_unsymmetric: bool) -> Option<Vec<f64>> {
     let r = residual.len();
     let largest = (0..r).map(|i| jacobian[(i, i)].abs()).fold(0.0, f64::max);
+    let rhs = Mat::from_fn(r, 1, |i, _| residual[i]);
     let mut shifted = 0.0;
     for shift in SHIFTS {
         (0..r).for_each(|i| jacobian[(i, i)] += (shift - shifted) * largest);
         shifted = shift;
-        if let Ok(factor) = SmallCholesky::new(jacobian.as_ref()) {
-            let step = factor.solve(Mat::from_fn(r, 1, |i, _| residual[i]).as_ref());
+        let symmetric = is_unsymmetric
+            .then(|| Mat::from_fn(r, r, |i, j| 0.5 * (jacobian[(i, j)] + jacobian[(j, i)])));
+        let factor = SmallCholesky::new(symmetric.as_ref().unwrap_or(&jacobian).as_ref());
+        if let Ok(factor) = factor {
+            let step = match is_unsymmetric {
+                true => dense::solve_unsymmetric(jacobian.as_ref(), rhs.as_ref()),
+                false => factor.solve(rhs.as_ref()),
+            };
             return Some(step.col_as_slice(0).to_vec());
         }
     }
     None
+}
+
+fn inner(x: &[f64], y: &[f64]) -> f64 {
+    x.iter().zip(y).map(|(x, y)| x * y).sum()
 }

@@ -192,3 +192,47 @@ fn simulations_that_cannot_run_are_refused() {
     let expected = held.basis_size().pow(2);
     assert_eq!(error, SimulationError::Transfer { given: 3, expected });
 }
+
+#[test]
+fn oscillators_are_exact_whatever_the_step_and_agree_with_newmark_for_small_motion() {
+    let damping = RayleighDamping { mass_per_s: 0.5, stiffness_s: 1e-4 };
+    let body = body(damping);
+    let tip = body.full_model().free_vertices().last().copied().unwrap();
+    let push = body.vertex_load(tip, [0.0, 1e-6, 5e-7]);
+    let run = |integrator, dt_s: f64, n_steps: usize| {
+        let params = SimulationParams { dt_s, integrator, gravity_m_s2: [0.0; 3] };
+        let mut simulation = Simulation::new(body.model().clone(), params).unwrap();
+        (0..n_steps).for_each(|_| assert!(!simulation.step(&push, &[]).recovered));
+        simulation.q().to_vec()
+    };
+    let apart = |a: &[f64], b: &[f64]| {
+        let gap: Vec<f64> = a.iter().zip(b).map(|(a, b)| a - b).collect();
+        dot(&gap, &gap).sqrt() / dot(b, b).sqrt()
+    };
+    let at_once = run(Integrator::ModalOscillators, 0.3, 1);
+    let in_steps = run(Integrator::ModalOscillators, 0.001, 300);
+    assert!(apart(&at_once, &in_steps) < 1e-9);
+    let newmark = run(Integrator::ImplicitNewmark, 2e-4, 1500);
+    // Average acceleration stretches periods by (ω dt)²/12, most that of the fastest modes.
+    assert!(apart(&newmark, &at_once) < 2e-3, "{:e}", apart(&newmark, &at_once));
+    // First order: half the step, half the error.
+    let euler = |n: usize| apart(&run(Integrator::BackwardEuler, 0.3 / n as f64, n), &at_once);
+    let ratio = euler(1500) / euler(3000);
+    assert!((1.7..2.3).contains(&ratio), "{ratio}");
+}
+
+#[test]
+fn a_quasi_static_step_is_the_static_solution() {
+    let body = body(UNDAMPED);
+    let tip = body.full_model().free_vertices().last().copied().unwrap();
+    let params =
+        SimulationParams { dt_s: 0.1, integrator: Integrator::QuasiStatic, gravity_m_s2: [0.0; 3] };
+    let mut simulation = Simulation::new(body.model().clone(), params).unwrap();
+    for force_n in [0.5, 2.0, -3.0, 0.0] {
+        let load = body.vertex_load(tip, [0.0, force_n, 0.5 * force_n]);
+        assert!(!simulation.step(&load, &[]).recovered);
+        let exact = body.model().solve_static(&load, &vec![0.0; load.len()]).unwrap();
+        let gap: Vec<f64> = simulation.q().iter().zip(&exact).map(|(a, b)| a - b).collect();
+        assert!(dot(&gap, &gap).sqrt() < 1e-7 * (1e-3 + dot(&exact, &exact).sqrt()), "{force_n}");
+    }
+}

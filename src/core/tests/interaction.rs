@@ -1,0 +1,191 @@
+//! Bodies that are pulled at and that lie on things.
+
+use crate::bodies::{bar, norm, params};
+use std::sync::Arc;
+use sutura_core::build::{
+    self, Artifacts, BuildParams, CubatureParams, RayleighDamping, Selection,
+};
+use sutura_core::control::Uncontrolled;
+use sutura_core::reduced::contact::{Contact, Obstacle};
+use sutura_core::reduced::{
+    Environment, Grab, Integrator, Simulation, SimulationParams, StepReport,
+};
+use sutura_core::testing::Cut;
+
+const DAMPED: RayleighDamping = RayleighDamping { mass_per_s: 5.0, stiffness_s: 0.003 };
+
+fn body(is_held: bool, damping: RayleighDamping) -> Artifacts {
+    let bar = bar(Cut::Whole);
+    let fixed_vertices = if is_held { bar.root.clone() } else { Vec::new() };
+    let cubature = Some(CubatureParams {
+        n_points: 80,
+        n_training_poses: 40,
+        tolerance: 0.02,
+        seed: 1,
+        selection: Selection::default(),
+    });
+    let params =
+        BuildParams { fixed_vertices, basis_size: 30, damping, cubature, ..params(&bar, 12) };
+    build::build(bar.mesh, &params, &Uncontrolled).unwrap()
+}
+
+fn simulation(body: &Artifacts, integrator: Integrator, gravity: f64, dt_s: f64) -> Simulation {
+    let params = SimulationParams { dt_s, integrator, gravity_m_s2: [0.0, gravity, 0.0] };
+    Simulation::new(body.model().clone(), params).unwrap()
+}
+
+fn floor(height_m: f64, friction: f64) -> Arc<Environment> {
+    Arc::new(Environment {
+        obstacles: vec![Obstacle::Plane { point_m: [0.0, height_m, 0.0], normal: [0.0, 1.0, 0.0] }],
+        contact: Contact { stiffness_pa_m: 2e7, damping_s_m: 1.0, friction, creep_m_s: 1e-3 },
+    })
+}
+
+fn tip(body: &Artifacts) -> u32 {
+    body.full_model().free_vertices().last().copied().unwrap()
+}
+
+fn run(simulation: &mut Simulation, n_steps: usize) -> Vec<StepReport> {
+    let r = simulation.q().len();
+    (0..n_steps).map(|_| simulation.step(&vec![0.0; r], &[])).collect()
+}
+
+fn lowest_m(body: &Artifacts, simulation: &Simulation) -> f64 {
+    let [_, height, ..] = simulation.rigid();
+    let of = |v: u32| {
+        let vertex = body.vertex_rows(v);
+        let u: f64 = vertex.rows.iter().zip(simulation.q()).map(|(row, q)| row[1] * q).sum();
+        vertex.rest_m[1] + u + height
+    };
+    body.full_model().free_vertices().iter().map(|&v| of(v)).fold(f64::INFINITY, f64::min)
+}
+
+#[test]
+fn a_grab_holds_a_vertex_where_force_and_spring_balance() {
+    let body = body(true, DAMPED);
+    let vertex = Arc::new(body.vertex_rows(tip(&body)));
+    let rest = vertex.rest_m;
+    let target_m = [rest[0], rest[1] + 0.02, rest[2] - 0.01];
+    let grab = Grab { vertex: vertex.clone(), target_m, stiffness_n_m: 50.0, damping_n_s_m: 0.1 };
+    let mut settled = Vec::new();
+    for integrator in
+        [Integrator::QuasiStatic, Integrator::BackwardEuler, Integrator::ImplicitNewmark]
+    {
+        let mut simulation = simulation(&body, integrator, 0.0, 0.01);
+        simulation.set_grabs(vec![grab.clone()]);
+        let n_steps = if integrator == Integrator::QuasiStatic { 1 } else { 400 };
+        assert!(run(&mut simulation, n_steps).iter().all(|report| !report.recovered));
+        let q = simulation.q().to_vec();
+        // The spring's force, as a load, has the same equilibrium.
+        let [force, _] = simulation.interaction_force();
+        assert!(norm(&force) > 0.05);
+        let start = vec![0.0; q.len()];
+        let load = body.vertex_load(tip(&body), force);
+        let expected = body.model().solve_static(&load, &start).unwrap();
+        let gap: Vec<f64> = q.iter().zip(&expected).map(|(a, b)| a - b).collect();
+        assert!(norm(&gap) < 1e-5 * norm(&q), "{integrator:?}: {:e}", norm(&gap) / norm(&q));
+        settled.push(q);
+        simulation.set_grabs(Vec::new());
+        run(&mut simulation, n_steps);
+        assert!(norm(simulation.q()) < 1e-3 * norm(&expected), "{integrator:?} lets go");
+    }
+}
+
+#[test]
+fn a_held_body_sags_onto_a_floor_and_no_further() {
+    let body = body(true, DAMPED);
+    let mut free = simulation(&body, Integrator::ImplicitNewmark, -9.81, 5e-3);
+    run(&mut free, 300);
+    let sag = lowest_m(&body, &free);
+    let start = lowest_m(&body, &simulation(&body, Integrator::QuasiStatic, 0.0, 0.1));
+    assert!(sag < start - 1e-3);
+    let height_m = 0.5 * (sag + start);
+    let surface = Arc::new(body.contact_surface());
+    for integrator in [Integrator::ImplicitNewmark, Integrator::BackwardEuler] {
+        let mut simulation = simulation(&body, integrator, -9.81, 5e-3);
+        simulation.set_environment(Some(floor(height_m, 0.3)), Some(surface.clone()));
+        let reports = run(&mut simulation, 300);
+        assert!(reports.iter().all(|report| !report.recovered));
+        let lowest = lowest_m(&body, &simulation);
+        assert!((lowest - height_m).abs() < 0.05 * (start - height_m), "{lowest} {height_m}");
+        let [force, _] = simulation.interaction_force();
+        assert!(force[1] > 0.0);
+    }
+}
+
+#[test]
+fn a_free_body_rests_on_the_floor_with_its_weight() {
+    let body = body(false, DAMPED);
+    let mut simulation = simulation(&body, Integrator::BackwardEuler, -9.81, 2e-3);
+    let surface = Arc::new(body.contact_surface());
+    let height_m = lowest_m(&body, &simulation) - 0.005;
+    simulation.set_environment(Some(floor(height_m, 0.3)), Some(surface));
+    assert!(run(&mut simulation, 1500).iter().all(|report| !report.recovered));
+    let lowest = lowest_m(&body, &simulation);
+    assert!((lowest - height_m).abs() < 1e-3, "{lowest} {height_m}");
+    let weight = 9.81 * body.lumped_mass_kg().iter().sum::<f64>();
+    let [_, _, _, i, j, k, w] = simulation.rigid();
+    let turn = nalgebra::UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(w, i, j, k));
+    let force = turn * nalgebra::Vector3::from(simulation.interaction_force()[0]);
+    assert!((force.y / weight - 1.0).abs() < 0.02, "{} {weight}", force.y);
+    let [momentum, _] = simulation.momenta().unwrap();
+    assert!(norm(&momentum) < 0.01 * weight * 0.1, "{momentum:?}");
+}
+
+#[test]
+fn friction_stops_a_sliding_body_after_the_distance_of_coulomb_s_law() {
+    let body = body(false, DAMPED);
+    let mut simulation = simulation(&body, Integrator::BackwardEuler, -9.81, 2e-3);
+    let surface = Arc::new(body.contact_surface());
+    let height_m = lowest_m(&body, &simulation);
+    let friction = 0.2;
+    simulation.set_environment(Some(floor(height_m, friction)), Some(surface));
+    run(&mut simulation, 500);
+    let from = simulation.rigid()[2];
+    // Across the bar, so that it need not tip over its long side.
+    let [_, angular] = simulation.momenta().unwrap();
+    assert!(norm(&angular) < 1e-3);
+    let speed = 0.5;
+    simulation.set_rigid_velocity([speed, 0.0, 0.0], [0.0; 3]);
+    let from_x = simulation.rigid()[0];
+    run(&mut simulation, 500);
+    let slid = simulation.rigid()[0] - from_x;
+    let expected = speed * speed / (2.0 * friction * 9.81);
+    assert!((slid / expected - 1.0).abs() < 0.1, "{slid} {expected}");
+    assert!((simulation.rigid()[2] - from).abs() < 0.02 * slid);
+}
+
+#[test]
+fn a_pose_pressed_by_a_moving_tool_stays_finite() {
+    let body = body(true, DAMPED);
+    let surface = Arc::new(body.contact_surface());
+    for integrator in [
+        Integrator::ImplicitNewmark,
+        Integrator::BackwardEuler,
+        Integrator::QuasiStatic,
+        Integrator::ModalOscillators,
+    ] {
+        let mut simulation = simulation(&body, integrator, -9.81, 0.01);
+        let mut most = 0.0f64;
+        for step in 0..200 {
+            let depth = 0.03 * (step as f64 / 20.0).sin();
+            let obstacles = vec![
+                Obstacle::Sphere { center_m: [0.15, 0.1 - depth, 0.025], radius_m: 0.04 },
+                Obstacle::Capsule {
+                    from_m: [0.1, 0.0, -0.05 + depth],
+                    to_m: [0.1, 0.05, -0.05 + depth],
+                    radius_m: 0.03,
+                },
+            ];
+            let contact =
+                Contact { stiffness_pa_m: 1e7, damping_s_m: 1.0, friction: 0.4, creep_m_s: 1e-3 };
+            let environment = Environment { obstacles, contact };
+            simulation.set_environment(Some(Arc::new(environment)), Some(surface.clone()));
+            simulation.step(&vec![0.0; body.basis_size()], &[]);
+            let [force, _] = simulation.interaction_force();
+            assert!(simulation.q().iter().chain(&force).all(|x| x.is_finite()), "{integrator:?}");
+            most = most.max(norm(&force));
+        }
+        assert!(most > 0.1, "{integrator:?}: the tool never touched");
+    }
+}
