@@ -1,10 +1,14 @@
 /** The viewer in a browser: upload, stitch, pull, compare, undo. */
 
 import assert from 'node:assert/strict'
+import { mkdtempSync, rmSync, writeFileSync } from 'node:fs'
+import { tmpdir } from 'node:os'
+import { join } from 'node:path'
 import { after, afterEach, before, test } from 'node:test'
 import { fileURLToPath } from 'node:url'
 import { startDaemon } from '../../clients/web/scripts/daemon.mjs'
-import { difference, drawn, openPage, picture } from './browser.mjs'
+import { bar } from '../../clients/web/tests/bodies.mjs'
+import { OUTPUT, difference, drawn, openPage, picture } from './browser.mjs'
 
 const DATA = fileURLToPath(new URL('../data/', import.meta.url))
 
@@ -158,6 +162,49 @@ async function openMarks(page, box) {
   found.sort((a, b) => a[0] - b[0])
   const onPage = ([px, py]) => [box.x + 60 + px, box.y + 70 + py]
   return { from: onPage(found[5]), to: onPage(found.at(-6)) }
+}
+
+test('a large body moves, and its frame times are recorded', async (t) => {
+  const { vertices, tets } = bar([70, 20, 20])
+  const folder = mkdtempSync(join(tmpdir(), 'sutura-bar-'))
+  const files = ['bar.msh', 'bar.json'].map((name) => join(folder, name))
+  writeFileSync(files[0], gmsh(vertices, tets))
+  const [low, high] = [0, Math.max(...vertices.map(([x]) => x))]
+  const fixed_vertices = vertices.flatMap(([x], i) => (x === low || x === high ? [i] : []))
+  const material = { law: 'stvk', young_modulus_pa: 5e4, poisson_ratio: 0.4, density_kg_m3: 1000 }
+  writeFileSync(files[1], JSON.stringify({ material, fixed_vertices }))
+  const { page, faults } = await open()
+  await page.locator('#new-session').click()
+  await page.locator('#upload-files').setInputFiles(files)
+  await page.getByRole('button', { name: 'Open session' }).click()
+  rmSync(folder, { recursive: true })
+  await page.locator('#generation', { hasText: 'generation 0' }).waitFor({ timeout: 600_000 })
+  const rest = await picture(page, 'large-rest')
+  assert.ok(drawn(rest) > 0.03)
+  await page.getByLabel('Gravity').selectOption('9.81')
+  await page.locator('#simulate').click()
+  const times = page.locator('#frame-time')
+  await page.waitForFunction(() => Number.parseFloat(document.querySelector('#time').textContent) > 4)
+  const moved = await picture(page, 'large-moved')
+  assert.ok(difference(rest, moved) > 1e-3, `${difference(rest, moved)}`)
+  const [median, worst] = await Promise.all(
+    ['data-median', 'data-worst'].map((name) => times.getAttribute(name)),
+  )
+  // Recorded, not judged: without a graphics card they tell little of a screen's.
+  const record = { n_vertices: vertices.length, n_tets: tets.length, median_ms: median, worst_ms: worst }
+  writeFileSync(join(OUTPUT, 'frame-times.json'), JSON.stringify(record))
+  t.diagnostic(JSON.stringify(record))
+  assert.ok(Number(median) > 0)
+  assert.deepEqual(faults, [])
+})
+
+/** A mesh as Gmsh's format 2.2 has it. */
+function gmsh(vertices, tets) {
+  const nodes = vertices.map((x, i) => `${i + 1} ${x.join(' ')}`)
+  const elements = tets.map((tet, i) => `${i + 1} 4 2 1 1 ${tet.map((v) => v + 1).join(' ')}`)
+  const block = (name, lines) => [`$${name}`, String(lines.length), ...lines, `$End${name}`]
+  const head = ['$MeshFormat', '2.2 0 8', '$EndMeshFormat']
+  return [...head, ...block('Nodes', nodes), ...block('Elements', elements), ''].join('\n')
 }
 
 test('a bad mesh is refused with its reason, and the form stays', async () => {

@@ -1,7 +1,15 @@
 /** What the viewer knows and does, without saying how it looks. */
 
 import { Client, ProblemError } from '../client/index.js'
-import type { Edit, EditReply, EditRequest, SessionConfig, SessionEvent, SessionInfo } from '../client/index.js'
+import type {
+  Edit,
+  EditReply,
+  EditRequest,
+  SessionConfig,
+  SessionEvent,
+  SessionInfo,
+  SimulationConfig,
+} from '../client/index.js'
 import { Body, bounds } from './body.js'
 import { Signal } from './signal.js'
 
@@ -36,6 +44,9 @@ export interface Hold {
 
 /** How long after the end of a simulation its states may still arrive, in ms. */
 const STRAY_STATES = 500
+
+/** How long to wait before a connection that broke is made again, in ms. */
+const RETRY_INTERVAL = 1000
 
 /** How often the list of sessions is asked for, in ms. */
 const LIST_INTERVAL = 1500
@@ -184,13 +195,19 @@ export class App {
 
   /** Follows a session until another is selected. */
   async #watch(id: string, signal: AbortSignal): Promise<void> {
-    const session = this.#client.session(id)
-    try {
-      this.info.value = await session.info(signal)
-      for await (const event of session.events(signal)) await this.#hear(id, event, signal)
-      if (!signal.aborted) throw new TypeError('network: the daemon has ended its events')
-    } catch (error) {
-      if (!signal.aborted) this.report(error)
+    while (!signal.aborted) {
+      try {
+        const session = this.#client.session(id)
+        this.info.value = await session.info(signal)
+        for await (const event of session.events(signal)) await this.#hear(id, event, signal)
+      } catch (error) {
+        if (signal.aborted) return
+        const isGone = error instanceof ProblemError && error.status === 404
+        if (isGone) this.select(undefined)
+        this.report(error)
+        if (isGone) return
+      }
+      await new Promise((wake) => setTimeout(wake, RETRY_INTERVAL))
     }
   }
 
@@ -383,11 +400,15 @@ export class App {
   }
 
   /** Starts the simulation with gravity in m/s² downwards, or changes it. */
-  async simulate(gravity: number): Promise<boolean> {
+  async simulate(
+    gravity: number,
+    integrator: NonNullable<SimulationConfig['integrator']>,
+  ): Promise<boolean> {
     const body = this.body.value
     if (!body) return false
     try {
-      await body.session.simulate({ dt_s: 0.005, publish_hz: 60, gravity_m_s2: [0, -gravity, 0] })
+      const gravity_m_s2: [number, number, number] = [0, -gravity, 0]
+      await body.session.simulate({ dt_s: 0.005, publish_hz: 60, gravity_m_s2, integrator })
       this.isSimulating.value = true
       return true
     } catch (error) {

@@ -53,7 +53,7 @@ export class Body {
   /** Fetches everything that is drawn. */
   static async open(session: Session): Promise<Body> {
     const [tets, positions] = await Promise.all([session.tets(), session.positions()])
-    const surface = surfaceOf(tets, positions.data.length / 3)
+    const surface = surfaceOf(tets, positions.data)
     const pairs = coincidentPairs(positions.data, surface.vertices).slice(0, 2 * MAX_PAIRS)
     const tracker = await Tracker.open(session, { vertices: surface.vertices })
     const { diagonal } = bounds(positions.data)
@@ -119,8 +119,9 @@ async function gather(
   return { generation, shapes, positions: positions.data, stitches, cubature }
 }
 
-function surfaceOf(tets: Uint32Array, nVertices: number): Surface {
-  const triangles = boundaryTriangles(tets, nVertices)
+function surfaceOf(tets: Uint32Array, positions: Float32Array): Surface {
+  const nVertices = positions.length / 3
+  const triangles = inOrder(boundaryTriangles(tets, nVertices), positions)
   const rowOf = new Int32Array(nVertices).fill(-1)
   const vertices: number[] = []
   const rows = triangles.map((vertex) => {
@@ -128,6 +129,32 @@ function surfaceOf(tets: Uint32Array, nVertices: number): Surface {
     return rowOf[vertex]!
   })
   return { vertices: Uint32Array.from(vertices), rowOf, triangles: rows }
+}
+
+/** Triangles along a Morton curve: those that share vertices are drawn soon after each other, while the GPU
+ * still has these, and their rows lie near each other. */
+function inOrder(triangles: Uint32Array, positions: Float32Array): Uint32Array {
+  const { low, diagonal } = bounds(positions)
+  const spread = (x: number) => {
+    let bits = Math.min(1023, Math.max(0, Math.floor((1024 * x) / diagonal)))
+    bits = (bits | (bits << 16)) & 0x030000ff
+    bits = (bits | (bits << 8)) & 0x0300f00f
+    bits = (bits | (bits << 4)) & 0x030c30c3
+    return (bits | (bits << 2)) & 0x09249249
+  }
+  const keys = Float64Array.from({ length: triangles.length / 3 }, (_, i) => {
+    const vertex = 3 * triangles[3 * i]!
+    const [x, y, z] = [0, 1, 2].map((axis) => spread(positions[vertex + axis]! - low[axis]!))
+    // The place of the triangle in the lower digits: they are sorted with their keys.
+    return (x! + 2 * y! + 4 * z!) * 2 ** 22 + i
+  })
+  keys.sort()
+  const ordered = new Uint32Array(triangles.length)
+  keys.forEach((key, to) => {
+    const from = 3 * (key % 2 ** 22)
+    ordered.set(triangles.subarray(from, from + 3), 3 * to)
+  })
+  return ordered
 }
 
 /** Points shown; a body without cubature sums every tet, which nobody wants to see. */

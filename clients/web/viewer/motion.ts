@@ -4,7 +4,7 @@
  */
 
 import * as three from 'three'
-import type { Force, Session, Shapes, StateFrame, StateStream } from '../client/index.js'
+import type { Force, Session, Shapes, SimulationConfig, StateFrame, StateStream } from '../client/index.js'
 import type { App } from './app.js'
 import type { Body, GenerationData } from './body.js'
 import { Signal } from './signal.js'
@@ -18,6 +18,9 @@ const MAX_FORCES_UNDER_WAY = 6
 const MODE_AMPLITUDE = 0.08
 /** The slowest mode is shown at this frequency in Hz, the others in proportion up to the other. */
 const MODE_HZ = [0.6, 2.4] as const
+
+/** How long to wait before a connection that broke is made again, in ms. */
+const RETRY_INTERVAL = 1000
 
 /** A vertex that is pulled at. */
 interface Pull {
@@ -58,6 +61,8 @@ export class Motion {
   pullStrength = 1
   /** Gravity in m/s² of a simulation that a pull starts. */
   gravity = 0
+  /** Its integrator. */
+  integrator: NonNullable<SimulationConfig['integrator']> = 'implicit_newmark'
 
   #stream: StateStream | undefined
   #amplitudes: Float64Array | undefined
@@ -135,7 +140,7 @@ export class Motion {
     this.#pull = pull
     try {
       if (!this.#models && !this.app.isSimulating.value) {
-        if (!(await this.app.simulate(this.gravity))) return this.endPull()
+        if (!(await this.app.simulate(this.gravity, this.integrator))) return this.endPull()
       }
       const compliance = (await this.#staticModel(body)).compliance(row)
       pull.stiffness = 1 / Math.max(compliance, 1e-12)
@@ -182,7 +187,7 @@ export class Motion {
     this.state.value = undefined
     this.stage.isAnimated = false
     this.stage.setBody(body)
-    if (body) void this.#listen(body.session)
+    if (body) void this.#listen(body)
   }
 
   async #changeGeneration(): Promise<void> {
@@ -197,20 +202,23 @@ export class Motion {
     this.#show()
   }
 
-  /** Follows the states that the daemon publishes. */
-  async #listen(session: Session): Promise<void> {
-    const stream = session.states()
-    this.#stream = stream
-    try {
-      for await (const state of stream) {
-        if (this.#stream !== stream) return
-        this.app.noteState()
-        this.#pushForce(session, state)
-        this.state.value = state
-        this.#show()
+  /** Follows the states that the daemon publishes, until there is another body. */
+  async #listen(body: Body): Promise<void> {
+    while (this.app.body.value === body) {
+      const stream = body.session.states()
+      this.#stream = stream
+      try {
+        for await (const state of stream) {
+          if (this.app.body.value !== body) return
+          this.app.noteState()
+          this.#pushForce(body.session, state)
+          this.state.value = state
+          this.#show()
+        }
+      } catch (error) {
+        if (this.app.body.value === body) this.app.report(error)
       }
-    } catch (error) {
-      if (this.#stream === stream) this.app.report(error)
+      await new Promise((wake) => setTimeout(wake, RETRY_INTERVAL))
     }
   }
 

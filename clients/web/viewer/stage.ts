@@ -99,7 +99,9 @@ export class Stage {
     palette: Palette,
   ) {
     this.#palette = palette
-    this.#renderer = new three.WebGLRenderer({ canvas, antialias: true, alpha: true })
+    // Without a graphics card, smooth edges would cost more than everything else.
+    const antialias = !drawsInSoftware()
+    this.#renderer = new three.WebGLRenderer({ canvas, antialias, alpha: true })
     this.#renderer.outputColorSpace = three.LinearSRGBColorSpace
     this.#renderer.autoClear = false
     if (!this.#renderer.extensions.has('EXT_color_buffer_float')) {
@@ -410,4 +412,13 @@ export class Stage {
     caster.setFromCamera(this.#toView(event), this.#camera)
     return caster.ray.applyMatrix4(actor.drawing.group.matrixWorld.clone().invert())
   }
+}
+
+/** Whether the browser draws without a graphics card. */
+function drawsInSoftware(): boolean {
+  const context = document.createElement('canvas').getContext('webgl2')
+  const names = context?.getExtension('WEBGL_debug_renderer_info')
+  const name: unknown = names && context?.getParameter(names.UNMASKED_RENDERER_WEBGL)
+  context?.getExtension('WEBGL_lose_context')?.loseContext()
+  return typeof name === 'string' && /swiftshader|llvmpipe|softpipe|software/i.test(name)
 }

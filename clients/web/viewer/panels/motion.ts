@@ -1,5 +1,6 @@
 /** The simulation, and what is marked on the body. */
 
+import type { components } from '../../client/index.js'
 import type { App } from '../app.js'
 import { button, choice, element, field, section } from '../dom.js'
 import type { Motion } from '../motion.js'
@@ -7,10 +8,20 @@ import { newtons } from '../numbers.js'
 import type { Marks, Stage } from '../stage.js'
 import type { Tools } from '../tools.js'
 
+const INTEGRATORS = [
+  ['implicit_newmark', 'Newmark'],
+  ['backward_euler', 'Backward Euler'],
+  ['modal_oscillators', 'Modal, linear'],
+  ['quasi_static', 'Quasi-static'],
+] as const satisfies readonly (readonly [components['schemas']['IntegratorConfig'], string])[]
+
 export function motionPanel(app: App, motion: Motion, tools: Tools): HTMLElement {
   const toggle = button(
     'Start',
-    () => void (app.isSimulating.value ? app.stopSimulation() : app.simulate(motion.gravity)),
+    () =>
+      void (app.isSimulating.value
+        ? app.stopSimulation()
+        : app.simulate(motion.gravity, motion.integrator)),
     { id: 'simulate' },
   )
   app.isSimulating.subscribe((running) => {
@@ -21,15 +32,19 @@ export function motionPanel(app: App, motion: Motion, tools: Tools): HTMLElement
   const gravity = choice(
     [
       ['0', 'None'],
-      ['1', 'A tenth, downwards'],
-      ['9.81', '9.81 m/s², downwards'],
+      ['1', '1 m/s² down'],
+      ['9.81', '9.81 m/s² down'],
     ],
     '0',
     (value) => {
       motion.gravity = Number(value)
-      if (app.isSimulating.value) void app.simulate(motion.gravity)
+      if (app.isSimulating.value) void app.simulate(motion.gravity, motion.integrator)
     },
   )
+  const integrator = choice(INTEGRATORS, 'implicit_newmark', (value) => {
+    motion.integrator = value
+    if (app.isSimulating.value) void app.simulate(motion.gravity, motion.integrator)
+  })
   const strength = element('input', {
     type: 'range',
     min: '-1',
@@ -49,7 +64,7 @@ export function motionPanel(app: App, motion: Motion, tools: Tools): HTMLElement
     'Motion',
     true,
     element('div', { className: 'row' }, toggle, pull),
-    field('Gravity', gravity),
+    element('div', { className: 'grid' }, field('Gravity', gravity), field('Integrator', integrator)),
     field('Strength of the pull', strength),
     force,
   )

@@ -1,6 +1,6 @@
 /** The form for a new session: a mesh, and what it is made of. */
 
-import type { SessionConfig } from '../../client/index.js'
+import type { SessionConfig, components } from '../../client/index.js'
 import type { App, Hold } from '../app.js'
 import { button, choice, element, field, numberInput } from '../dom.js'
 import { plural } from '../numbers.js'
@@ -11,6 +11,14 @@ const PRESETS = {
   rubber: ['Rubber', 2e6, 0.45, 1100],
   wood: ['Green wood', 2e7, 0.35, 900],
 } as const
+
+const LAWS = [
+  ['stvk', 'St. Venant–Kirchhoff'],
+  ['neo_hookean', 'Stable neo-Hookean'],
+  ['mooney_rivlin', 'Mooney–Rivlin'],
+  ['corotational', 'Corotational'],
+  ['linear', 'Linear'],
+] as const satisfies readonly (readonly [components['schemas']['MaterialLaw'], string])[]
 
 const HOLDS = {
   none: 'Nothing yet',
@@ -28,6 +36,7 @@ const MEMBERS = [
   'material',
   'domain_materials',
   'fixed_vertices',
+  'tet_stiffness',
   'mass',
   'n_modes',
   'basis',
@@ -66,6 +75,7 @@ export function uploadDialog(app: App): { dialog: HTMLDialogElement; open: (file
     picker,
     chosen,
   )
+  const law = choice(LAWS, 'stvk')
   const young = numberInput(2e4, 1e-3, 1e15)
   const poisson = numberInput(0.45, -0.99, 0.499)
   const density = numberInput(1050, 1e-3, 1e6)
@@ -82,11 +92,12 @@ export function uploadDialog(app: App): { dialog: HTMLDialogElement; open: (file
   const material = element(
     'fieldset',
     {},
-    element('legend', {}, 'Material (St. Venant–Kirchhoff)'),
+    element('legend', {}, 'Material'),
     element(
       'div',
       { className: 'grid' },
       field('Like', preset),
+      field('Law', law),
       field('Young’s modulus, Pa', young),
       field('Poisson’s ratio', poisson),
       field('Density, kg/m³', density),
@@ -175,7 +186,7 @@ export function uploadDialog(app: App): { dialog: HTMLDialogElement; open: (file
         ? {}
         : {
             material: {
-              law: 'stvk',
+              law: law.value,
               young_modulus_pa: Number(young.value),
               poisson_ratio: Number(poisson.value),
               density_kg_m3: Number(density.value),
