@@ -72,9 +72,9 @@ test('a stomach is uploaded, stitched, pulled at, compared and opened again', as
   await page.keyboard.press('g')
   assert.equal(await page.locator('#tool-pull').getAttribute('aria-pressed'), 'true')
   const { x, y, width, height } = await page.locator('#stage').boundingBox()
-  await page.mouse.move(x + width * 0.52, y + height * 0.5)
+  await page.mouse.move(x + width * 0.38, y + height * 0.45)
   await page.mouse.down()
-  await page.mouse.move(x + width * 0.6, y + height * 0.3, { steps: 8 })
+  await page.mouse.move(x + width * 0.55, y + height * 0.35, { steps: 8 })
   await page.locator('#pull-force', { hasText: 'Pulling with' }).waitFor()
   await page.waitForFunction(() => Number.parseFloat(document.querySelector('#time').textContent) > 1.5)
   const pulled = await picture(page, 'pulled')
@@ -119,9 +119,9 @@ test('pairs are stitched and opened with the brush', async () => {
   const { page, faults } = await open()
   await upload(page, 'stomach_small')
   await page.keyboard.press('s')
-  // From below, so that the incision is seen.
+  // From the side on which the incision is.
   await page.locator('#stage').focus()
-  for (let i = 0; i < 3; i++) await page.keyboard.press('ArrowDown')
+  for (let i = 0; i < 3; i++) await page.keyboard.press('ArrowLeft')
   await page.waitForTimeout(600)
   const box = await page.locator('#stage').boundingBox()
   const marks = await openMarks(page, box)
@@ -171,7 +171,7 @@ test('a large body moves, and its frame times are recorded', async (t) => {
   writeFileSync(files[0], gmsh(vertices, tets))
   const [low, high] = [0, Math.max(...vertices.map(([x]) => x))]
   const fixed_vertices = vertices.flatMap(([x], i) => (x === low || x === high ? [i] : []))
-  const material = { law: 'stvk', young_modulus_pa: 5e4, poisson_ratio: 0.4, density_kg_m3: 1000 }
+  const material = { law: 'stvk', young_modulus_pa: 5e6, poisson_ratio: 0.4, density_kg_m3: 1000 }
   writeFileSync(files[1], JSON.stringify({ material, fixed_vertices }))
   const { page, faults } = await open()
   await page.locator('#new-session').click()
@@ -186,7 +186,7 @@ test('a large body moves, and its frame times are recorded', async (t) => {
   const times = page.locator('#frame-time')
   await page.waitForFunction(() => Number.parseFloat(document.querySelector('#time').textContent) > 4)
   const moved = await picture(page, 'large-moved')
-  assert.ok(difference(rest, moved) > 1e-3, `${difference(rest, moved)}`)
+  assert.ok(difference(rest, moved) > 1e-4, `${difference(rest, moved)}`)
   const [median, worst] = await Promise.all(
     ['data-median', 'data-worst'].map((name) => times.getAttribute(name)),
   )

@@ -1,8 +1,12 @@
 /** The client against a real daemon: what the Rust client is held to, and the same bytes. */
 
 import assert from 'node:assert/strict'
+import { execFile } from 'node:child_process'
+import { readFileSync } from 'node:fs'
 import { after, before, test } from 'node:test'
 import { setTimeout as sleep } from 'node:timers/promises'
+import { fileURLToPath } from 'node:url'
+import { promisify } from 'node:util'
 import { Client, ProblemError, Tracker, combine, decodeNpy } from '../build/index.js'
 import { startDaemon } from '../scripts/daemon.mjs'
 import { committedSchema, schemaOf } from '../scripts/schema.mjs'
@@ -247,6 +251,18 @@ test('states arrive, answer to forces and cross an edit without a jump', async (
   assert.ok((await session.simulation()).n_forces >= 1)
   await session.stopSimulation()
   await session.delete()
+})
+
+test('the example of the documentation runs', async () => {
+  const data = fileURLToPath(new URL('../../../tests/data/stomach_small', import.meta.url))
+  const example = fileURLToPath(new URL('../examples/stitch.mjs', import.meta.url))
+  const files = [daemon.address, `${data}.msh`, `${data}.json`]
+  const flags = ['--experimental-websocket', '--no-warnings', example, ...files]
+  const { stdout } = await promisify(execFile)(process.execPath, flags)
+  assert.match(stdout, /before: \[ 1\.39.*after:  \[ 1\.41/s)
+  assert.match(stdout, /Float32Array\(3\)/)
+  const shown = readFileSync(new URL('../README.md', import.meta.url), 'utf8')
+  assert.ok(shown.includes(readFileSync(example, 'utf8').trimEnd()))
 })
 
 test('a stream ends with its session', async () => {

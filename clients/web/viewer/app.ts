@@ -132,9 +132,7 @@ export class App {
   /** Says what went wrong. */
   report(error: unknown): void {
     if (error instanceof DOMException && error.name === 'AbortError') return
-    if (error instanceof ProblemError && [401, 403].includes(error.status)) {
-      this.needsKey.value = true
-    }
+    this.#noteKey(error)
     const text =
       error instanceof ProblemError
         ? `${error.problem.title}: ${error.problem.detail}`
@@ -146,7 +144,12 @@ export class App {
 
   /** Opens a session on a mesh file. */
   async create(file: File, config: SessionConfig, hold?: Hold): Promise<void> {
-    const session = await this.#client.create(config, { name: file.name, content: file })
+    const session = await this.#client
+      .create(config, { name: file.name, content: file })
+      .catch((error: unknown) => {
+        this.#noteKey(error)
+        throw error
+      })
     if (hold) this.#holds.set(session.id, hold)
     await this.refreshList()
     this.select(session.id)
@@ -171,6 +174,10 @@ export class App {
     } catch (error) {
       this.report(error)
     }
+  }
+
+  #noteKey(error: unknown): void {
+    if (error instanceof ProblemError && error.status === 401) this.needsKey.value = true
   }
 
   /** Shows a session, or none. */

@@ -6,6 +6,7 @@
 import * as three from 'three'
 import type { Force, Session, Shapes, SimulationConfig, StateFrame, StateStream } from '../client/index.js'
 import type { App } from './app.js'
+import { bounds } from './body.js'
 import type { Body, GenerationData } from './body.js'
 import { Signal } from './signal.js'
 import type { Stage } from './stage.js'
@@ -16,6 +17,8 @@ import type { Vector } from './statics.js'
 const MAX_FORCES_UNDER_WAY = 6
 /** The largest displacement of a mode at full amplitude, of the body's diagonal. */
 const MODE_AMPLITUDE = 0.08
+/** The largest displacement in a comparison, of the body's diagonal. */
+const MAX_STATIC = 0.2
 /** The slowest mode is shown at this frequency in Hz, the others in proportion up to the other. */
 const MODE_HZ = [0.6, 2.4] as const
 
@@ -276,6 +279,10 @@ export class Motion {
       models.row = pull.row
       models.force = this.#force(pull)
     }
+    // Linear about the rest shape: what moves farther would be shown wrongly.
+    const unscaled = newestMoved(models)
+    const scale = Math.min(1, (MAX_STATIC * body.diagonal) / Math.max(unscaled, 1e-30))
+    models.force = [scale * models.force[0], scale * models.force[1], scale * models.force[2]]
     const { row, force } = models
     const sides = [
       { data: body.current, model: models.newModel, which: 'body' },
@@ -352,14 +359,22 @@ export class Motion {
   }
 }
 
-/** Of some vertices and the three axes, where a pull shows best that one basis gives way and the other does
- * not; as strong as can be seen well. */
+/** How far the vertex pulled at moves in the rebuilt basis, in m. */
+function newestMoved({ newModel, row, force }: CompareModels): number {
+  return Math.hypot(...newModel.displacement(row, newModel.respond(row, force)))
+}
+
+/** Of some vertices and the two axes along which the body is broad, where a pull shows best that one basis
+ * gives way and the other does not; as strong as can be seen well. */
 function telling(stiff: StaticModel, soft: StaticModel, body: Body): { row: number; force: Vector } {
   const n = body.surface.vertices.length
   const step = Math.max(1, Math.floor(n / 150))
+  const { low, high } = bounds(body.current.positions)
+  const extents = low.map((x, axis) => high[axis]! - x)
+  const broad = [0, 1, 2].filter((axis) => axis !== extents.indexOf(Math.min(...extents)))
   let best = { row: 0, axis: 0, gain: -Infinity, compliance: 1 }
   for (let row = 0; row < n; row += step) {
-    for (let axis = 0; axis < 3; axis++) {
+    for (const axis of broad) {
       const unit: [number, number, number] = [0, 0, 0]
       unit[axis] = 1
       const [compliance, other] = [soft, stiff].map(

@@ -82,7 +82,7 @@ export class Stage {
 
   readonly #renderer: three.WebGLRenderer
   readonly #camera = new three.PerspectiveCamera(32, 1, 0.001, 100)
-  readonly #controls: OrbitControls
+  #controls: OrbitControls
   readonly #maxTextureSize: number
   readonly #intervals: number[] = []
   #actor: Actor | undefined
@@ -108,10 +108,7 @@ export class Stage {
       throw new Error('this browser cannot render to floating-point textures (WebGL 2)')
     }
     this.#maxTextureSize = this.#renderer.capabilities.maxTextureSize
-    this.#controls = new OrbitControls(this.#camera, canvas)
-    this.#controls.enableDamping = true
-    this.#controls.dampingFactor = 0.12
-    this.#controls.addEventListener('change', () => this.invalidate())
+    this.#controls = this.#newControls()
     new ResizeObserver(() => this.#resize()).observe(canvas)
   }
 
@@ -189,18 +186,37 @@ export class Stage {
     this.invalidate()
   }
 
-  /** Looks at the whole body from the front. */
+  /** Looks at the whole body from where it is broad. */
   lookAtBody(): void {
     if (!this.#body) return
-    const { centre, diagonal } = bounds(this.#body.current.positions)
+    const { low, high, centre, diagonal } = bounds(this.#body.current.positions)
+    const extents = [0, 1, 2].map((axis) => high[axis]! - low[axis]!)
+    const isFlat = extents[1] === Math.min(...extents)
+    const up = isFlat ? new three.Vector3(0, 0, 1) : new three.Vector3(0, 1, 0)
+    const from = isFlat ? new three.Vector3(0.35, -0.9, 0.25) : new three.Vector3(0.35, 0.25, 0.9)
+    if (!isFlat && extents[0]! < extents[2]!) from.set(0.9, 0.25, 0.35)
+    if (!this.#camera.up.equals(up)) {
+      this.#camera.up.copy(up)
+      this.#controls.dispose()
+      this.#controls = this.#newControls()
+    }
     const distance = this.#distanceFor(diagonal)
     this.#controls.target.set(...centre)
-    this.#camera.position.set(...centre).add(new three.Vector3(0.35, 0.25, 0.9).setLength(distance))
+    this.#camera.position.set(...centre).add(from.setLength(distance))
     this.#camera.near = distance / 100
     this.#camera.far = distance * 10
     this.#camera.updateProjectionMatrix()
     this.#controls.update()
     this.invalidate()
+  }
+
+  /** Controls for the camera, whose direction upwards they keep. */
+  #newControls(): OrbitControls {
+    const controls = new OrbitControls(this.#camera, this.canvas)
+    controls.enableDamping = true
+    controls.dampingFactor = 0.12
+    controls.addEventListener('change', () => this.invalidate())
+    return controls
   }
 
   /** How far the camera must be for a sphere of this diameter to fit, nearly. */
@@ -211,13 +227,18 @@ export class Stage {
 
   /** Turns the camera about the body by angles in radians, and brings it nearer by a factor. */
   orbit(right: number, up: number, nearer = 1): void {
+    const upright = new three.Quaternion().setFromUnitVectors(
+      this.#camera.up,
+      new three.Vector3(0, 1, 0),
+    )
     const offset = this.#camera.position.clone().sub(this.#controls.target)
-    const spherical = new three.Spherical().setFromVector3(offset)
+    const spherical = new three.Spherical().setFromVector3(offset.applyQuaternion(upright))
     spherical.theta -= right
     spherical.phi -= up
     spherical.radius /= nearer
     spherical.makeSafe()
-    this.#camera.position.setFromSpherical(spherical).add(this.#controls.target)
+    offset.setFromSpherical(spherical).applyQuaternion(upright.invert())
+    this.#camera.position.copy(offset).add(this.#controls.target)
     this.#controls.update()
     this.invalidate()
   }

@@ -81,7 +81,7 @@ function certificate({ certificate }: EditReply): HTMLElement {
   const rows = [
     ['Eigenvalue error, lower half', certificate.lower_eigenvalue_error],
     ['Eigenvalue error, upper half', certificate.upper_eigenvalue_error],
-    ['Largest angle to the exact modes (sine)', certificate.basis_angle],
+    ['Angle to the exact modes (sine)', certificate.basis_angle],
     ['Cubature force error', certificate.cubature_error ?? undefined],
   ] as const
   return element(

@@ -3,7 +3,7 @@
 import type { SessionInfo } from '../../client/index.js'
 import type { App } from '../app.js'
 import { button, element } from '../dom.js'
-import { count } from '../numbers.js'
+import { count, plural } from '../numbers.js'
 
 /** The column of sessions; `create` opens the form for a new one. */
 export function sessionList(app: App, create: () => void): HTMLElement {
@@ -50,19 +50,19 @@ export function sessionList(app: App, create: () => void): HTMLElement {
 }
 
 /** What of a session is shown in the list. */
-function shown({ name, id, state, stage, progress, generation, n_vertices, n_stitches }: SessionInfo) {
-  return { name: name ?? id.slice(0, 8), state, stage, progress, generation, n_vertices, n_stitches }
+function shown({ name, id, state, stage, progress, n_vertices, n_stitches }: SessionInfo) {
+  return { name: name ?? id.slice(0, 8), state, stage, progress, n_vertices, n_stitches }
 }
 
 function item(app: App, session: SessionInfo, selected: boolean): HTMLLIElement {
-  const { name, state, stage, progress, generation, n_vertices, n_stitches } = shown(session)
+  const { name, state, stage, progress, n_vertices, n_stitches } = shown(session)
   const isBusy = state === 'building' || state === 'rebuilding'
   const facts =
     state === 'failed'
       ? 'failed'
       : isBusy
         ? (stage ?? 'waiting')
-        : `${count(n_vertices)} vertices · ${n_stitches} stitched · generation ${generation}`
+        : `${count(n_vertices)} vertices\u2002·\u2002${plural(n_stitches, 'stitch', 'stitches')}`
   const open = element(
     'button',
     {

@@ -200,7 +200,6 @@ export function uploadDialog(app: App): { dialog: HTMLDialogElement; open: (file
       dialog.close()
     } catch (error) {
       problem.textContent = (error as Error).message
-      app.report(error)
     }
     submit.disabled = false
   }
