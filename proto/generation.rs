@@ -29,6 +29,10 @@
 //! | | [`EVALUATOR_SHAPE_GRADIENTS`] | (p, 4, 3) |
 //! | | [`EVALUATOR_BASIS_ROWS`] | (p, 4, 3, r) |
 //! | | [`EVALUATOR_STITCH_STIFFNESS`] | (r, r) |
+//! | | [`EVALUATOR_LAWS`] (u32) | (p) |
+//! | | [`EVALUATOR_MOONEY_RATIOS`] | (p) |
+//! | | [`EVALUATOR_GRAVITY_LOADS`] | (r, 3) |
+//! | | [`EVALUATOR_DAMPING`] | (2) |
 //!
 //! Resources of one array can be had as .npy too; `delta`, `combination`, `evaluator` and
 //! `stitches` are frames only. Query parameters: [`PARAMETER_DTYPE`], [`PARAMETER_FROM`], [`PARAMETER_HAVE`],
@@ -112,3 +116,12 @@ pub const EVALUATOR_SHAPE_GRADIENTS: &str = "shape_gradients";
 pub const EVALUATOR_BASIS_ROWS: &str = "basis_rows";
 /// Reduced stitch stiffness.
 pub const EVALUATOR_STITCH_STIFFNESS: &str = "stitch_stiffness";
+/// The material law of each point, by its place in [`crate::session::MaterialLaw`]: 0 linear, 1 stvk,
+/// 2 neo_hookean, 3 mooney_rivlin, 4 corotational.
+pub const EVALUATOR_LAWS: &str = "laws";
+/// C₀₁/(C₁₀ + C₀₁) of each point; of effect for mooney_rivlin alone.
+pub const EVALUATOR_MOONEY_RATIOS: &str = "mooney_ratios";
+/// Reduced load of unit gravity along each axis, in kg.
+pub const EVALUATOR_GRAVITY_LOADS: &str = "gravity_loads";
+/// Rayleigh damping: α in 1/s, β in s.
+pub const EVALUATOR_DAMPING: &str = "damping";

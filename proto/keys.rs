@@ -45,11 +45,13 @@ pub enum Resource {
     Generation,
     /// Subscription: a [`crate::simulation::ForceRequest`].
     Forces,
+    /// Subscription: a [`crate::simulation::GrabRequest`].
+    Grabs,
 }
 
 impl Resource {
     /// Every resource.
-    pub const ALL: [Resource; 17] = [
+    pub const ALL: [Resource; 18] = [
         Resource::Edits,
         Resource::Info,
         Resource::Seams,
@@ -67,6 +69,7 @@ impl Resource {
         Resource::State,
         Resource::Generation,
         Resource::Forces,
+        Resource::Grabs,
     ];
 
     /// The key's last chunk.
@@ -89,6 +92,7 @@ impl Resource {
             Resource::State => "state",
             Resource::Generation => "generation",
             Resource::Forces => "forces",
+            Resource::Grabs => "grabs",
         }
     }
 }

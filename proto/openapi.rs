@@ -18,6 +18,7 @@ use utoipa::OpenApi;
     crate::session::SessionInfo,
     crate::session::SessionList,
     crate::simulation::ForceRequest,
+    crate::simulation::GrabRequest,
     crate::simulation::SimulationConfig,
     crate::simulation::SimulationInfo,
 )))]

@@ -1,18 +1,21 @@
 //! A simulation, watched over both transports while the body is edited.
 
-use crate::bodies::{TIP, config, ready_bar, seam, stitch};
+use crate::bodies::{TIP, bar, config, ready_bar, seam, stitch};
 use crate::daemon::{Daemon, PATIENCE};
+use std::sync::Arc;
 use sutura_client::proto::edit::{Edit, EditRequest};
-use sutura_client::proto::simulation::{Force, SimulationConfig};
-use sutura_client::proto::state::StateFrame;
-use sutura_client::{StateStream, Tracker};
-
-const CONFIG: SimulationConfig = SimulationConfig {
-    dt_s: 0.002,
-    integrator: sutura_client::proto::simulation::IntegratorConfig::ImplicitNewmark,
-    gravity_m_s2: [0.0, -9.81, 0.0],
-    publish_hz: 500.0,
+use sutura_client::proto::evaluate::{Coordinates, EvaluateReply, EvaluateRequest};
+use sutura_client::proto::session::{MaterialConfig, MaterialLaw, SessionConfig};
+use sutura_client::proto::simulation::{
+    Force, Grab, GrabRequest, IntegratorConfig, Obstacle, SimulationConfig,
 };
+use sutura_client::proto::state::StateFrame;
+use sutura_client::reduced::{Integrator, Simulation, SimulationParams};
+use sutura_client::{Arrays, Evaluator, Generation, StateStream, Tracker};
+
+fn motion() -> SimulationConfig {
+    SimulationConfig { dt_s: 0.002, publish_hz: 500.0, ..SimulationConfig::default() }
+}
 
 async fn next(states: &mut StateStream) -> StateFrame {
     let next = tokio::time::timeout(PATIENCE, states.next()).await;
@@ -29,8 +32,8 @@ async fn a_simulation_crosses_an_edit_without_a_jump() {
     let session = ready_bar(&daemon).await;
     let pairs = seam();
     session.edit(&stitch(&pairs[..8])).await.unwrap();
-    let info = session.simulate(&CONFIG).await.unwrap();
-    assert_eq!((info.config, info.generation), (CONFIG, 1));
+    let info = session.simulate(&motion()).await.unwrap();
+    assert_eq!((info.config, info.generation), (motion(), 1));
 
     let bus = daemon.zenoh_client().await.session(session.id()).unwrap();
     let mut tracker = Tracker::new(bus.clone()).await.unwrap();
@@ -87,7 +90,7 @@ async fn states_arrive_over_websocket_and_zenoh_and_answer_to_forces() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
     session.edit(&stitch(&seam())).await.unwrap();
-    let weightless = SimulationConfig { gravity_m_s2: [0.0; 3], ..CONFIG };
+    let weightless = SimulationConfig { gravity_m_s2: [0.0; 3], ..motion() };
     session.simulate(&weightless).await.unwrap();
     let mut states = session.states().await.unwrap();
     let mut tracker = Tracker::new(session.clone()).await.unwrap();
@@ -132,9 +135,9 @@ async fn states_arrive_over_websocket_and_zenoh_and_answer_to_forces() {
 async fn a_body_that_nothing_holds_is_not_simulated() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
-    let error = session.simulate(&CONFIG).await.unwrap_err();
+    let error = session.simulate(&motion()).await.unwrap_err();
     assert_eq!(error.status(), Some(422), "{error}");
-    assert!(error.to_string().contains("6 rigid modes"), "{error}");
+    assert!(error.to_string().contains("6 rigid motions"), "{error}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -142,7 +145,7 @@ async fn a_stream_ends_with_its_session() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;
     session.edit(&stitch(&seam())).await.unwrap();
-    session.simulate(&CONFIG).await.unwrap();
+    session.simulate(&motion()).await.unwrap();
     let mut states = session.states().await.unwrap();
     next(&mut states).await;
     session.delete().await.unwrap();
@@ -150,4 +153,118 @@ async fn a_stream_ends_with_its_session() {
     while states.next().await.unwrap().is_some() {}
     let error = session.states().await.err().unwrap();
     assert_eq!(error.status(), Some(404), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_tool_moves_over_both_doors_and_a_free_body_falls_onto_a_floor() {
+    let daemon = Daemon::start();
+    let session = daemon
+        .client()
+        .await
+        .create(&SessionConfig { mesh: Some(bar()), fixed_vertices: Vec::new(), ..config() })
+        .await
+        .unwrap();
+    let info = session.wait_ready(|_| ()).await.unwrap();
+    assert_eq!(info.n_rigid_modes, 12);
+    // Two halves: no frame. Stitched together, one.
+    let refused = session.simulate(&motion()).await.unwrap_err();
+    assert_eq!(refused.status(), Some(422));
+    session.edit(&stitch(&seam())).await.unwrap();
+    let lowest = bar().vertices.iter().map(|x| x[1]).fold(f64::INFINITY, f64::min);
+    let floor = Obstacle::Plane { point_m: [0.0, lowest - 0.02, 0.0], normal: [0.0, 1.0, 0.0] };
+    let falling = SimulationConfig {
+        integrator: IntegratorConfig::BackwardEuler,
+        obstacles: vec![floor],
+        ..motion()
+    };
+    session.simulate(&falling).await.unwrap();
+    let bus = daemon.zenoh_client().await.session(session.id()).unwrap();
+    let mut states = bus.states().await.unwrap();
+    // It falls as far as the floor, and stays there.
+    let mut state = next(&mut states).await;
+    while state.time_s < 0.6 {
+        state = next(&mut states).await;
+        assert!(state.rigid[1] > -0.03, "{:?}", state.rigid);
+    }
+    assert!(state.rigid[1] < -0.015, "{:?}", state.rigid);
+    let info = session.simulation().await.unwrap();
+    assert!(info.interaction_force_n[1] > 0.0 && info.n_recovered == 0);
+
+    // Lifted by a grab over Zenoh, moved by one of the same name over HTTP, let go.
+    let rest = bar().vertices[TIP as usize];
+    let grab = |height: f64| Grab {
+        id: 1,
+        vertex: TIP,
+        target_m: [rest[0], rest[1] + height, rest[2]],
+        stiffness_n_m: 200.0,
+        damping_n_s_m: 2.0,
+    };
+    let hold = |height| GrabRequest { grabs: vec![grab(height)], release: Vec::new() };
+    bus.grab(&hold(0.1)).await.unwrap();
+    while next(&mut states).await.rigid[1] < 0.0 {}
+    session.grab(&hold(0.3)).await.unwrap();
+    while next(&mut states).await.rigid[1] < 0.05 {}
+    assert_eq!(session.simulation().await.unwrap().n_grabs, 1);
+    session.grab(&GrabRequest { grabs: Vec::new(), release: vec![1] }).await.unwrap();
+    while next(&mut states).await.rigid[1] > 0.0 {}
+    assert_eq!(session.simulation().await.unwrap().n_grabs, 0);
+    let bad = GrabRequest { grabs: vec![Grab { vertex: 1 << 30, ..grab(0.0) }], release: vec![] };
+    assert_eq!(session.grab(&bad).await.unwrap_err().status(), Some(422));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_evaluates_and_steps_the_model_as_the_daemon_does() {
+    let daemon = Daemon::start();
+    let session = daemon
+        .client()
+        .await
+        .create(&SessionConfig {
+            mesh: Some(bar()),
+            material: Some(MaterialConfig {
+                law: MaterialLaw::NeoHookean,
+                ..MaterialConfig::stvk(5e5, 0.4, 1000.0)
+            }),
+            ..config()
+        })
+        .await
+        .unwrap();
+    session.wait_ready(|_| ()).await.unwrap();
+    session.edit(&stitch(&seam())).await.unwrap();
+    let evaluator: Evaluator<f64> = session.evaluator(Generation::Current).await.unwrap();
+    let model = Arc::new(evaluator.model(0).unwrap());
+    let params = SimulationParams {
+        dt_s: 0.002,
+        integrator: Integrator::ImplicitNewmark,
+        gravity_m_s2: [0.0, -9.81, 0.0],
+    };
+    let mut ours = Simulation::new(model.clone(), params).unwrap();
+    let rest = vec![0.0; model.r()];
+    (0..50).for_each(|_| assert!(!ours.step(&rest, &[]).recovered));
+    // Evaluated: the same to the last digits.
+    let request = EvaluateRequest { q: Coordinates::Single(ours.q().to_vec()), exact: false };
+    let EvaluateReply::Single(theirs) =
+        session.evaluate(Generation::Current, &request).await.unwrap()
+    else {
+        panic!("one pose, one answer");
+    };
+    let here = model.evaluate(ours.q());
+    assert!((here.energy_j / theirs.energy_j - 1.0).abs() < 1e-12);
+    for (a, b) in here.force.iter().zip(&theirs.force) {
+        assert!((a - b).abs() < 1e-10 * here.force[0].abs());
+    }
+    // Stepped: the daemon's state of the same time.
+    session.simulate(&motion()).await.unwrap();
+    let mut states = session.states().await.unwrap();
+    let mut simulated = Simulation::new(model, params).unwrap();
+    let mut n_compared = 0;
+    while n_compared < 20 {
+        let state = next(&mut states).await;
+        while simulated.time_s() < state.time_s - 1e-9 {
+            simulated.step(&rest, &[]);
+        }
+        for (a, b) in simulated.q().iter().zip(&state.q) {
+            assert!((a - f64::from(*b)).abs() < 1e-5 * (1e-4 + a.abs()), "{a} {b}");
+        }
+        n_compared += 1;
+    }
 }

@@ -5,6 +5,7 @@ mod combination;
 pub use combination::{BlockName, Combination, Dictionary};
 
 use crate::error::{Error, Result};
+use crate::evaluator::Evaluator;
 use std::fmt::Display;
 use std::future::Future;
 use std::ops::{AddAssign, Mul};
@@ -277,7 +278,7 @@ pub struct Array<T = f32> {
 
 /// Takes the array `name` out of `frame`; extents must be those of `shape` where it gives them, and
 /// none may be 0.
-fn take<T: Scalar, const RANK: usize>(
+pub(crate) fn take<T: Scalar, const RANK: usize>(
     frame: &mut Frame<'_>,
     name: &str,
     shape: [Option<usize>; RANK],
@@ -468,46 +469,6 @@ pub struct Delta<T = f32> {
     pub columns: Array<T>,
     /// (r of `have` + c, r).
     pub w: Array<T>,
-}
-
-/// All a client needs to evaluate the reduced model on its own: p points, r coordinates.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Evaluator<T = f32> {
-    /// The tet of each point.
-    pub tets: Vec<u32>,
-    /// Cubature weights, (p).
-    pub weights: Array<T>,
-    /// Rest volumes in m³, (p).
-    pub volumes_m3: Array<T>,
-    /// Lamé's λ and μ in Pa, (p, 2).
-    pub lame_pa: Array<T>,
-    /// Gradients of the four shape functions in 1/m, (p, 4, 3).
-    pub shape_gradients: Array<T>,
-    /// Basis rows at the four corners, (p, 4, 3, r).
-    pub basis_rows: Array<T>,
-    /// Reduced stitch stiffness, (r, r).
-    pub stitch_stiffness: Array<T>,
-}
-
-impl<T: Scalar> Evaluator<T> {
-    fn decode(bytes: &[u8]) -> Result<Evaluator<T>> {
-        let mut frame = Frame::decode(bytes)?;
-        let stitch_stiffness = take(&mut frame, EVALUATOR_STITCH_STIFFNESS, [None, None])?;
-        let Data::U32(tets) = frame.take(EVALUATOR_TETS)?.data else {
-            return Err(Error::Decode(format!("array {EVALUATOR_TETS:?} is not of u32")));
-        };
-        let p = Some(tets.len());
-        let r = Some(stitch_stiffness.shape[1]);
-        Ok(Evaluator {
-            weights: take(&mut frame, EVALUATOR_WEIGHTS, [p])?,
-            volumes_m3: take(&mut frame, EVALUATOR_VOLUMES_M3, [p])?,
-            lame_pa: take(&mut frame, EVALUATOR_LAME_PA, [p, Some(2)])?,
-            shape_gradients: take(&mut frame, EVALUATOR_SHAPE_GRADIENTS, [p, Some(4), Some(3)])?,
-            basis_rows: take(&mut frame, EVALUATOR_BASIS_ROWS, [p, Some(4), Some(3), r])?,
-            tets: tets.into_owned(),
-            stitch_stiffness,
-        })
-    }
 }
 
 #[cfg(test)]

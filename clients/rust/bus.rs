@@ -11,7 +11,7 @@ use sutura_proto::event::GenerationInfo;
 use sutura_proto::generation::PARAMETER_GENERATION;
 use sutura_proto::keys::{self, Resource};
 use sutura_proto::session::{SeamReply, SeamRequest, SessionInfo};
-use sutura_proto::simulation::{Force, ForceRequest};
+use sutura_proto::simulation::{Force, ForceRequest, GrabRequest};
 use sutura_proto::{bus, media};
 use tokio::runtime::{Handle, RuntimeFlavor};
 use zenoh::bytes::Encoding;
@@ -155,10 +155,18 @@ impl BusSession {
     /// Adds forces to the running simulation. Like every publication it is not answered: forces the
     /// daemon refuses are lost.
     pub async fn push_forces(&self, forces: &[Force]) -> Result<()> {
-        let body = bus::encode(&ForceRequest { forces: forces.to_vec() })
-            .map_err(|e| Error::Mismatch(e.to_string()))?;
+        self.publish(Resource::Forces, &ForceRequest { forces: forces.to_vec() }).await
+    }
+
+    /// Takes hold of vertices, moves what holds on, and lets go. Not answered either.
+    pub async fn grab(&self, request: &GrabRequest) -> Result<()> {
+        self.publish(Resource::Grabs, request).await
+    }
+
+    async fn publish(&self, resource: Resource, document: &impl Serialize) -> Result<()> {
+        let body = bus::encode(document).map_err(|e| Error::Mismatch(e.to_string()))?;
         self.zenoh_session
-            .put(self.key(Resource::Forces)?, body)
+            .put(self.key(resource)?, body)
             .encoding(media::BINCODE)
             .congestion_control(CongestionControl::Drop)
             .priority(Priority::RealTime)

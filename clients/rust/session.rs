@@ -11,7 +11,9 @@ use sutura_proto::edit::{EditReply, EditRequest};
 use sutura_proto::evaluate::{EvaluateReply, EvaluateRequest};
 use sutura_proto::event::Event;
 use sutura_proto::session::{ForkRequest, SeamReply, SeamRequest, SessionInfo, SessionState};
-use sutura_proto::simulation::{Force, ForceRequest, SimulationConfig, SimulationInfo};
+use sutura_proto::simulation::{
+    Force, ForceRequest, GrabRequest, SimulationConfig, SimulationInfo,
+};
 use sutura_proto::{Problem, keys, media};
 
 /// A session, reached over HTTP. Cheap to clone.
@@ -137,6 +139,11 @@ impl Session {
     pub async fn push_forces(&self, forces: &[Force]) -> Result<()> {
         let body = ForceRequest { forces: forces.to_vec() };
         self.send(self.request(Method::POST, &["simulation", "forces"])?.json(&body)).await
+    }
+
+    /// Takes hold of vertices of the running simulation, moves what holds on, and lets go.
+    pub async fn grab(&self, request: &GrabRequest) -> Result<()> {
+        self.send(self.request(Method::POST, &["simulation", "grabs"])?.json(request)).await
     }
 
     /// The states that the simulation publishes, over a WebSocket.

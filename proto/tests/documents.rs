@@ -7,7 +7,9 @@ use sutura_proto::edit::{CubatureInfo, CubatureSource, Edit, EditMethod, EditRep
 use sutura_proto::evaluate::{Coordinates, EvaluateReply, EvaluateRequest, Evaluation, MAX_BATCH};
 use sutura_proto::event::{Event, GenerationInfo};
 use sutura_proto::session::{CubatureConfig, MassConfig, SessionConfig};
-use sutura_proto::simulation::{Force, ForceRequest, IntegratorConfig, SimulationConfig};
+use sutura_proto::simulation::{
+    Force, ForceRequest, Grab, GrabRequest, IntegratorConfig, SimulationConfig,
+};
 use sutura_proto::{Invalid, Problem, bus};
 
 fn parse<T: serde::de::DeserializeOwned>(document: Value) -> Result<T, serde_json::Error> {
@@ -293,10 +295,34 @@ fn simulations_and_forces_are_checked() {
     .unwrap();
     config.validate().unwrap();
     assert_eq!(config.integrator, IntegratorConfig::ImplicitNewmark);
-    assert_eq!(pointer(SimulationConfig { dt_s: 0.0, ..config }.validate()), "/dt_s");
-    assert_eq!(pointer(SimulationConfig { publish_hz: 1e9, ..config }.validate()), "/publish_hz");
+    assert_eq!(pointer(SimulationConfig { dt_s: 0.0, ..config.clone() }.validate()), "/dt_s");
+    assert_eq!(
+        pointer(SimulationConfig { publish_hz: 1e9, ..config.clone() }.validate()),
+        "/publish_hz"
+    );
     let gravity_m_s2 = [0.0, f64::NAN, 0.0];
     assert_eq!(pointer(SimulationConfig { gravity_m_s2, ..config }.validate()), "/gravity_m_s2/1");
+
+    let config: SimulationConfig = parse(json!({"obstacles": [
+            {"plane": {"point_m": [0, 0, 0], "normal": [0, 1, 0]}},
+            {"capsule": {"from_m": [0, 0, 0], "to_m": [1, 0, 0], "radius_m": 0.1}}],
+        "contact": {"friction": 0.5}}))
+    .unwrap();
+    config.validate().unwrap();
+    assert_eq!((config.obstacles.len(), config.contact.damping_s_m), (2, 1.0));
+    assert!(parse::<SimulationConfig>(json!({"obstacles": [{"cube": {}}]})).is_err());
+    let obstacles = vec![config.obstacles[0]; 2000];
+    assert_eq!(pointer(SimulationConfig { obstacles, ..config }.validate()), "/obstacles");
+
+    let request: GrabRequest = parse(json!({"release": [3], "grabs": [
+        {"id": 1, "vertex": 9, "target_m": [0, 1, 0], "stiffness_n_m": 50}]}))
+    .unwrap();
+    request.validate().unwrap();
+    assert_eq!(bus::decode::<GrabRequest>(&bus::encode(&request).unwrap()).unwrap(), request);
+    assert_eq!(pointer(GrabRequest::default().validate()), "/grabs");
+    let grab = Grab { target_m: [0.0, f64::INFINITY, 0.0], ..request.grabs[0] };
+    let request = GrabRequest { grabs: vec![grab], release: vec![] };
+    assert_eq!(pointer(request.validate()), "/grabs/0/target_m/1");
 
     let request: ForceRequest =
         parse(json!({"forces": [{"vertex": 9, "force_n": [0, 1, 0], "duration_s": 0.2}]})).unwrap();

@@ -1,11 +1,11 @@
 //! Forces at single points of the body: pulling springs, and contact with obstacles.
 
-use crate::contact::{Contact, ContactSurface, LocalObstacle};
+use crate::contact::{Contact, ContactSurface, LocalObstacle, Obstacle};
 use crate::frame::Frame;
 use crate::material::Mat3;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use std::sync::Arc;
 
 /// A vertex in the subspace: u = Σ rows_i q_i.
@@ -18,7 +18,7 @@ pub struct VertexRows {
 }
 
 impl VertexRows {
-    fn times(&self, q: &[f64]) -> Vector3<f64> {
+    pub(crate) fn times(&self, q: &[f64]) -> Vector3<f64> {
         let mut u = Vector3::zeros();
         for (row, q) in self.rows.iter().zip(q) {
             u += Vector3::from(*row) * *q;
@@ -55,13 +55,28 @@ impl Placement {
     /// Of a body that is held: world and body are the same.
     pub(crate) fn fixed() -> Placement {
         Placement {
-            frame: Frame {
-                position_m: Vector3::zeros(),
-                rotation: nalgebra::UnitQuaternion::identity(),
-            },
+            frame: Frame { position_m: Vector3::zeros(), rotation: UnitQuaternion::identity() },
             origin: Vector3::zeros(),
             velocity: Vector3::zeros(),
             omega: Vector3::zeros(),
+        }
+    }
+
+    /// The frame moved on by `shift` and turned by `turn` (in its own axes), where its velocities grow with
+    /// both at `rate`.
+    pub(crate) fn corrected(
+        &self,
+        shift: Vector3<f64>,
+        turn: Vector3<f64>,
+        rate: f64,
+    ) -> Placement {
+        let Frame { position_m, rotation } = self.frame;
+        let by = UnitQuaternion::from_scaled_axis(turn);
+        Placement {
+            frame: Frame { position_m: position_m + rotation * shift, rotation: rotation * by },
+            origin: self.origin,
+            velocity: by.inverse() * (self.velocity + shift * rate),
+            omega: self.omega + turn * rate,
         }
     }
 
@@ -76,13 +91,13 @@ impl Placement {
     }
 }
 
-/// Everything that pulls at points, in the body's frame.
+/// Everything that pulls at points.
+#[derive(Clone, Copy)]
 pub(crate) struct Interactions<'a> {
-    pub(crate) placement: Placement,
-    /// Grabs with their targets.
-    grabs: Vec<(&'a Grab, Vector3<f64>)>,
-    obstacles: Vec<LocalObstacle>,
-    contact: Option<(&'a ContactSurface, Contact)>,
+    pub(crate) grabs: &'a [Grab],
+    /// None without a surface.
+    pub(crate) obstacles: &'a [Obstacle],
+    pub(crate) contact: Option<(&'a ContactSurface, Contact)>,
 }
 
 /// What acts at one point: the force, and its negative derivatives by position and velocity, in the body's frame.
@@ -97,45 +112,44 @@ pub(crate) struct PointForce {
 pub(crate) struct Pull {
     /// Reduced force (r numbers).
     pub(crate) force: Vec<f64>,
-    /// Minus its derivative by q where the velocity follows q at `rate`, if asked for (r×r).
+    /// Minus the derivative of force and total by q and by the frame's shift and turn (r×r or (r + 6)×(r + 6)), if
+    /// asked for.
     pub(crate) stiffness: Option<Mat<f64>>,
     /// Force and torque about the frame's origin, in the body's frame.
     pub(crate) total: [Vector3<f64>; 2],
 }
 
-impl<'a> Interactions<'a> {
-    pub(crate) fn new(
-        grabs: &'a [Grab],
-        contact: Option<(&'a ContactSurface, Contact)>,
-        obstacles: &[crate::contact::Obstacle],
-        placement: Placement,
-    ) -> Interactions<'a> {
-        Interactions {
-            grabs: grabs.iter().map(|grab| (grab, placement.inside(grab.target_m))).collect(),
-            obstacles: match contact {
-                Some(_) => obstacles.iter().map(|o| o.seen_from(&placement)).collect(),
-                None => Vec::new(),
-            },
-            contact,
-            placement,
-        }
-    }
+/// The derivative that is asked for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Derivative {
+    /// Derivative of velocities by positions, in 1/s.
+    pub(crate) rate: f64,
+    /// Whether the frame moves, too.
+    pub(crate) of_frame: bool,
+}
 
+impl Interactions<'_> {
     /// Whether forces may have an unsymmetric derivative: friction, or damping in a frame that turns.
-    pub(crate) fn are_unsymmetric(&self) -> bool {
+    pub(crate) fn are_unsymmetric(&self, placement: &Placement) -> bool {
         let have_friction =
             self.contact.as_ref().is_some_and(|(_, contact)| contact.friction > 0.0);
-        have_friction || self.placement.omega != Vector3::zeros()
+        have_friction || placement.omega != Vector3::zeros()
     }
 
     pub(crate) fn are_none(&self) -> bool {
         self.grabs.is_empty() && self.obstacles.is_empty()
     }
 
-    /// Forces at `q` and `velocity`, and their derivative if `rate`, the derivative of the velocity by q, is
-    /// given.
-    pub(crate) fn pull(&self, q: &[f64], velocity: &[f64], rate: Option<f64>) -> Pull {
+    /// Forces at `q` and `velocity` of a body at `placement`, and their derivative if asked for.
+    pub(crate) fn pull(
+        &self,
+        placement: &Placement,
+        q: &[f64],
+        velocity: &[f64],
+        derivative: Option<Derivative>,
+    ) -> Pull {
         let r = q.len();
+        let n = r + if derivative.is_some_and(|derivative| derivative.of_frame) { 6 } else { 0 };
         let mut pull = Pull {
             force: vec![0.0; r],
             stiffness: None,
@@ -144,25 +158,33 @@ impl<'a> Interactions<'a> {
         // Rows of all points one below the other, and stiffness times rows.
         let mut rows: Vec<f64> = Vec::new();
         let mut responses: Vec<f64> = Vec::new();
+        let Placement { origin, velocity: frame_velocity, omega, .. } = *placement;
         // What moves on in a frame that turns is faster there.
-        let turning = self.placement.omega.cross_matrix();
+        let turning = omega.cross_matrix();
         let mut add = |y: Vector3<f64>, row: &dyn Fn(usize, usize) -> f64, at: PointForce| {
             pull.total[0] += at.force;
             pull.total[1] += y.cross(&at.force);
             for (i, f) in pull.force.iter_mut().enumerate() {
                 *f += (0..3).map(|axis| row(axis, i) * at.force[axis]).sum::<f64>();
             }
-            if let Some(rate) = rate {
+            if let Some(Derivative { rate, .. }) = derivative {
                 let k = at.stiffness + at.damping * (Mat3::identity() * rate + turning);
+                // A shift moves the point by itself, a turn by θ × y.
+                let lever = -y.cross_matrix();
+                let row = |axis: usize, i: usize| match i.checked_sub(r) {
+                    None => row(axis, i),
+                    Some(i) if i < 3 => f64::from(u8::from(i == axis)),
+                    Some(i) => lever[(axis, i - 3)],
+                };
                 for axis in 0..3 {
-                    rows.extend((0..r).map(|i| row(axis, i)));
+                    rows.extend((0..n).map(|i| row(axis, i)));
                     let entry = |i| (0..3).map(|b| k[(axis, b)] * row(b, i)).sum::<f64>();
-                    responses.extend((0..r).map(entry));
+                    responses.extend((0..n).map(entry));
                 }
             }
         };
-        let Placement { origin, velocity: frame_velocity, omega, .. } = self.placement;
-        for (grab, target) in &self.grabs {
+        for grab in self.grabs {
+            let target = placement.inside(grab.target_m);
             let rest = Vector3::from(grab.vertex.rest_m) - origin;
             let y = rest + grab.vertex.times(q);
             let speed = frame_velocity + omega.cross(&y) + grab.vertex.times(velocity);
@@ -174,17 +196,19 @@ impl<'a> Interactions<'a> {
             add(y, &|axis, i| grab.vertex.rows[i][axis], at);
         }
         if let Some((surface, contact)) = &self.contact {
-            surface.touch(&self.obstacles, &self.placement, q, velocity, |vertex, y, touch| {
+            let obstacles: Vec<LocalObstacle> =
+                self.obstacles.iter().map(|obstacle| obstacle.seen_from(placement)).collect();
+            surface.touch(&obstacles, placement, q, velocity, |vertex, y, touch| {
                 let at = contact.force(&touch, surface.area_m2(vertex));
                 let of_vertex = surface.rows(vertex);
                 add(y, &|axis, i| f64::from(of_vertex[axis * r + i]), at);
             });
         }
-        if rate.is_some() {
-            let m = rows.len() / r.max(1);
-            let rows = faer::MatRef::from_row_major_slice(&rows, m, r);
-            let responses = faer::MatRef::from_row_major_slice(&responses, m, r);
-            let mut stiffness = Mat::zeros(r, r);
+        if derivative.is_some() {
+            let m = rows.len() / n.max(1);
+            let rows = faer::MatRef::from_row_major_slice(&rows, m, n);
+            let responses = faer::MatRef::from_row_major_slice(&responses, m, n);
+            let mut stiffness = Mat::zeros(n, n);
             matmul(stiffness.as_mut(), Accum::Replace, rows.transpose(), responses, 1.0, Par::Seq);
             pull.stiffness = Some(stiffness);
         }

@@ -7,7 +7,7 @@ use crate::dense::DenseError;
 use crate::frame::{Frame, FreeBody, Motion, inertial_load};
 use crate::interaction::{Grab, Interactions, Placement, VertexRows};
 use crate::modal::Oscillators;
-use crate::step::{Scheme, State, Step};
+use crate::step::{RigidPart, Scheme, State, Step, Stepped};
 use faer::Mat;
 use nalgebra::Vector3;
 use std::sync::Arc;
@@ -180,30 +180,34 @@ impl Simulation {
             let mut load = self.model.gravity_load(self.params.gravity_m_s2);
             load.iter_mut().zip(force).for_each(|(load, f)| *load += f);
             add_vertex_loads(&mut load, at_vertices, &placement);
-            let interactions = self.interactions(placement);
-            let next = self.solve(state, &load, &interactions, dt, n_newton)?;
-            return Some((next, None));
+            let next = self.solve(state, &load, placement, None, dt, n_newton)?;
+            return Some((next.state, None));
         };
         let omega = motion.angular_velocity(body, &state.q, &state.velocity)?;
         let mut pass = Pass {
-            omega,
+            omega: [omega, omega],
             angular_acceleration: motion.angular_acceleration,
             q: state.q.clone(),
             velocity: state.velocity.clone(),
+            pull: [Vector3::zeros(); 2],
         };
         let mut found = None;
         for _ in 0..FRAME_PASSES {
-            let (next, moved) =
-                self.pass(state, motion, body, &pass, force, at_vertices, dt, n_newton)?;
+            let load = Load { force, at_vertices };
+            let (next, moved, pull) = self.pass(state, motion, body, &pass, load, dt, n_newton)?;
             let after = moved.angular_velocity(body, &next.q, &next.velocity)?;
-            let mean = |a: &[f64], b: &[f64]| -> Vec<f64> {
-                a.iter().zip(b).map(|(a, b)| 0.5 * (a + b)).collect()
+            // What the frame moves with: the mean over the step, or what it has at its end.
+            let is_mean = self.params.integrator != Integrator::BackwardEuler;
+            let share = if is_mean { 0.5 } else { 1.0 };
+            let between = |a: &[f64], b: &[f64]| -> Vec<f64> {
+                a.iter().zip(b).map(|(a, b)| a + share * (b - a)).collect()
             };
             pass = Pass {
-                omega: (omega + after) * 0.5,
+                omega: [omega + (after - omega) * share, after],
                 angular_acceleration: (after - omega) / dt,
-                q: mean(&state.q, &next.q),
-                velocity: mean(&state.velocity, &next.velocity),
+                q: between(&state.q, &next.q),
+                velocity: between(&state.velocity, &next.velocity),
+                pull,
             };
             let angular_acceleration = pass.angular_acceleration;
             found = Some((next, Some(Motion { angular_acceleration, ..moved })));
@@ -211,7 +215,8 @@ impl Simulation {
         found
     }
 
-    /// A substep of a free body, the frame's angular motion being given.
+    /// A substep of a free body, its frame being expected to move as `pass` says; the motion that it comes to, and
+    /// what pulls at it (force and torque in the world).
     #[allow(clippy::too_many_arguments)] // one call, from `advance`
     fn pass(
         &self,
@@ -219,88 +224,118 @@ impl Simulation {
         motion: &Motion,
         body: &FreeBody,
         pass: &Pass,
-        force: &[f64],
-        at_vertices: &[(&VertexRows, [f64; 3])],
+        load: Load<'_>,
         dt: f64,
         n_newton: &mut u32,
-    ) -> Option<(State, Motion)> {
+    ) -> Option<(State, Motion, [Vector3<f64>; 2])> {
+        let scheme = self.scheme().unwrap_or(Scheme::Newmark);
+        let [rate, _] = scheme.rates(dt);
+        let place = |q: &[f64], vertex: &VertexRows| {
+            Vector3::from(vertex.rest_m) - body.center_m() + vertex.times(q)
+        };
+        // Known: gravity, forces at vertices, and what pulled in the pass before.
         let gravity = Vector3::from(self.params.gravity_m_s2) * body.mass_kg();
-        let mut frame = motion.moved(body, &pass.omega, dt);
+        let given = load.at_vertices.iter().map(|(_, f)| Vector3::from(*f)).sum::<Vector3<f64>>();
+        let known = gravity + given + pass.pull[0];
+        let mut frame = motion.moved(body, &pass.omega[0], dt);
+        frame.position_m += known / (body.mass_kg() * rate / dt);
+        let velocity = motion.velocity(body) + known * (dt / body.mass_kg());
+        let into = frame.rotation.inverse();
         let placement = Placement {
             frame,
             origin: body.center_m(),
-            velocity: frame.rotation.inverse() * motion.velocity(body),
-            omega: pass.omega,
+            velocity: into * velocity,
+            omega: pass.omega[1],
         };
-        let inertial =
-            inertial_load(body, &pass.q, &pass.velocity, &pass.omega, &pass.angular_acceleration);
-        let mut load: Vec<f64> = force.iter().zip(inertial).map(|(f, i)| f - i).collect();
-        add_vertex_loads(&mut load, at_vertices, &placement);
-        let interactions = self.interactions(placement);
-        let next = self.solve(state, &load, &interactions, dt, n_newton)?;
+        let inertial = inertial_load(
+            body,
+            &pass.q,
+            &pass.velocity,
+            &pass.omega[0],
+            &pass.angular_acceleration,
+        );
+        let mut reduced: Vec<f64> = load.force.iter().zip(inertial).map(|(f, i)| f - i).collect();
+        add_vertex_loads(&mut reduced, load.at_vertices, &placement);
+        let rigid = RigidPart {
+            mass_kg: body.mass_kg(),
+            inertia: body.inertia(&pass.q),
+            expected: pass.pull.map(|pull| into * pull),
+        };
+        let next = self.solve(state, &reduced, placement, Some(rigid), dt, n_newton)?;
 
-        let [mut total, mut torque] = [Vector3::zeros(), Vector3::zeros()];
-        if !interactions.are_none() {
-            [total, torque] = interactions.pull(&next.q, &next.velocity, None).total;
+        let frame = next.placement.frame;
+        let mut torque = next.total[1];
+        for (vertex, f) in load.at_vertices {
+            let f = next.placement.turned(*f);
+            torque += place(&next.state.q, vertex).cross(&f);
         }
-        for (vertex, f) in at_vertices {
-            let f = placement.turned(*f);
-            let moved: Vector3<f64> =
-                vertex.rows.iter().zip(&next.q).map(|(row, q)| Vector3::from(*row) * *q).sum();
-            let y = Vector3::from(vertex.rest_m) - placement.origin + moved;
-            total += f;
-            torque += y.cross(&f);
-        }
-        let momentum = motion.momentum + (frame.rotation * total + gravity) * dt;
+        let pull = next.total.map(|total| frame.rotation * total);
+        let momentum = motion.momentum + (pull[0] + given + gravity) * dt;
         let angular_momentum = motion.angular_momentum + frame.rotation * torque * dt;
-        let moved = Motion { momentum, angular_momentum, ..*motion };
-        // The mean of the velocities before and after carries the centre of mass.
-        frame.position_m =
-            motion.frame.position_m + (motion.velocity(body) + moved.velocity(body)) * (0.5 * dt);
         let finite = momentum.iter().chain(&angular_momentum).all(|x| x.is_finite());
-        finite.then_some((next, Motion { frame, ..moved }))
+        let moved = Motion { frame, momentum, angular_momentum, ..*motion };
+        finite.then_some((next.state, moved, pull))
     }
 
-    /// The deformation after a substep under `load`.
+    /// The scheme of implicit steps; none of exact oscillators.
+    fn scheme(&self) -> Option<Scheme> {
+        match self.params.integrator {
+            Integrator::ImplicitNewmark => Some(Scheme::Newmark),
+            Integrator::BackwardEuler => Some(Scheme::BackwardEuler),
+            Integrator::QuasiStatic => Some(Scheme::QuasiStatic),
+            Integrator::ModalOscillators => None,
+        }
+    }
+
+    /// The deformation after a substep under `load`, and where the frame comes to be.
     fn solve(
         &self,
         state: &State,
         load: &[f64],
-        interactions: &Interactions<'_>,
+        placement: Placement,
+        rigid: Option<RigidPart>,
         dt: f64,
         n_newton: &mut u32,
-    ) -> Option<State> {
-        let scheme = match self.params.integrator {
-            Integrator::ImplicitNewmark => Scheme::Newmark,
-            Integrator::BackwardEuler => Scheme::BackwardEuler,
-            Integrator::QuasiStatic => Scheme::QuasiStatic,
-            Integrator::ModalOscillators => {
-                let mut load = load.to_vec();
-                if !interactions.are_none() {
-                    let pull = interactions.pull(&state.q, &state.velocity, None);
-                    load.iter_mut().zip(pull.force).for_each(|(load, f)| *load += f);
-                }
-                let oscillators = self.oscillators.as_ref()?;
-                let [q, velocity] =
-                    oscillators.advance(&self.model, &state.q, &state.velocity, &load, dt);
-                let acceleration = vec![0.0; q.len()];
-                let next = State { q, velocity, acceleration };
-                return next.is_finite().then_some(next);
+    ) -> Option<Stepped> {
+        let interactions = self.interactions();
+        let Some(scheme) = self.scheme() else {
+            let mut load = load.to_vec();
+            let mut total = [Vector3::zeros(); 2];
+            if !interactions.are_none() {
+                let pull = interactions.pull(&placement, &state.q, &state.velocity, None);
+                load.iter_mut().zip(pull.force).for_each(|(load, f)| *load += f);
+                total = pull.total;
             }
+            let oscillators = self.oscillators.as_ref()?;
+            let [q, velocity] =
+                oscillators.advance(&self.model, &state.q, &state.velocity, &load, dt);
+            let acceleration = vec![0.0; q.len()];
+            let state = State { q, velocity, acceleration };
+            return state.is_finite().then_some(Stepped { state, placement, total });
         };
-        let step =
-            Step { model: &self.model, damping: &self.damping, scheme, load, interactions, dt };
-        step.from(state, n_newton).filter(State::is_finite)
+        let step = Step {
+            model: &self.model,
+            damping: &self.damping,
+            scheme,
+            load,
+            interactions: &interactions,
+            placement,
+            rigid: rigid.filter(|_| !interactions.are_none()),
+            dt,
+        };
+        step.from(state, n_newton).filter(|next| next.state.is_finite())
     }
 
-    fn interactions(&self, placement: Placement) -> Interactions<'_> {
+    fn interactions(&self) -> Interactions<'_> {
         let environment = self.environment.as_deref();
         let contact = environment.zip(self.surface.as_deref()).filter(|(environment, surface)| {
             !environment.obstacles.is_empty() && surface.r() == self.model.r()
         });
-        let obstacles = environment.map_or(&[][..], |environment| &environment.obstacles);
-        let contact = contact.map(|(environment, surface)| (surface, environment.contact));
-        Interactions::new(&self.grabs, contact, obstacles, placement)
+        Interactions {
+            grabs: &self.grabs,
+            obstacles: contact.map_or(&[], |(environment, _)| &environment.obstacles),
+            contact: contact.map(|(environment, surface)| (surface, environment.contact)),
+        }
     }
 
     /// Changes the parameters from the next step on.
@@ -391,11 +426,23 @@ impl Simulation {
     /// What grabs and obstacles pull with now: force in N and torque in N·m about the frame's
     /// origin, in the body's frame.
     pub fn interaction_force(&self) -> [[f64; 3]; 2] {
-        let interactions = self.interactions(self.placement());
+        let interactions = self.interactions();
         if interactions.are_none() {
             return [[0.0; 3]; 2];
         }
-        interactions.pull(&self.state.q, &self.state.velocity, None).total.map(Into::into)
+        let State { q, velocity, .. } = &self.state;
+        interactions.pull(&self.placement(), q, velocity, None).total.map(Into::into)
+    }
+
+    /// The force of [`Self::interaction_force`] in the world, in N.
+    pub fn interaction_force_n(&self) -> [f64; 3] {
+        let [force, _] = self.interaction_force();
+        (self.placement().frame.rotation * Vector3::from(force)).into()
+    }
+
+    /// The surface in the current basis, if there is one.
+    pub fn surface(&self) -> Option<&Arc<ContactSurface>> {
+        self.surface.as_ref()
     }
 
     fn placement(&self) -> Placement {
@@ -459,10 +506,22 @@ impl Simulation {
 
 /// The frame's motion as a pass over a step takes it.
 struct Pass {
-    omega: Vector3<f64>,
+    /// Angular velocity that the frame turns with, and the one at the end.
+    omega: [Vector3<f64>; 2],
     angular_acceleration: Vector3<f64>,
     q: Vec<f64>,
     velocity: Vec<f64>,
+    /// Force and torque of grabs and obstacles, in the world.
+    pull: [Vector3<f64>; 2],
+}
+
+/// What acts on a body during a step.
+#[derive(Clone, Copy)]
+struct Load<'a> {
+    /// Reduced, in the body's frame.
+    force: &'a [f64],
+    /// At vertices, in the world.
+    at_vertices: &'a [(&'a VertexRows, [f64; 3])],
 }
 
 fn add_vertex_loads(

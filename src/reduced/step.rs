@@ -2,8 +2,10 @@
 
 use crate::ReducedModel;
 use crate::dense::{self, SmallCholesky};
-use crate::interaction::Interactions;
+use crate::interaction::{Derivative, Interactions, Placement};
+use crate::material::Mat3;
 use faer::Mat;
+use nalgebra::Vector3;
 
 /// Reduced coordinates and their rates.
 #[derive(Clone, Debug)]
@@ -35,6 +37,17 @@ pub(crate) enum Scheme {
     QuasiStatic,
 }
 
+impl Scheme {
+    /// Derivatives of velocity and acceleration by q.
+    pub(crate) fn rates(self, dt: f64) -> [f64; 2] {
+        match self {
+            Scheme::Newmark => [2.0 / dt, 4.0 / (dt * dt)],
+            Scheme::BackwardEuler => [1.0 / dt, 1.0 / (dt * dt)],
+            Scheme::QuasiStatic => [0.0, 0.0],
+        }
+    }
+}
+
 /// Evaluations a step may take, those after a Newton step was halved included; two or three is usual. An
 /// equilibrium is found once where a motion takes many small steps.
 const MOST_EVALUATIONS: [u32; 2] = [24, 100];
@@ -60,25 +73,62 @@ pub(crate) struct Step<'a> {
     /// Reduced load (r numbers), constant over the step.
     pub(crate) load: &'a [f64],
     pub(crate) interactions: &'a Interactions<'a>,
+    /// Where the body will be as far as is known.
+    pub(crate) placement: Placement,
+    /// Of a body that nothing holds and that is pulled at: what the frame's motion follows from.
+    pub(crate) rigid: Option<RigidPart>,
     pub(crate) dt: f64,
+}
+
+/// Inertia of the frame, and what it was expected to be pulled with (force and torque in the frame).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RigidPart {
+    pub(crate) mass_kg: f64,
+    pub(crate) inertia: Mat3,
+    pub(crate) expected: [Vector3<f64>; 2],
+}
+
+/// What a step leads to.
+pub(crate) struct Stepped {
+    pub(crate) state: State,
+    pub(crate) placement: Placement,
+    /// What grabs and obstacles pull with there: force and torque in the frame.
+    pub(crate) total: [Vector3<f64>; 2],
 }
 
 impl Step<'_> {
     /// The state after the step; `None` if Newton's method fails or anything is not finite.
-    pub(crate) fn from(&self, start: &State, n_newton: &mut u32) -> Option<State> {
+    ///
+    /// Where the frame is free, its shift and turn from where it was expected are unknowns beside q: contact as
+    /// stiff as it is would otherwise be stable for small steps only.
+    pub(crate) fn from(&self, start: &State, n_newton: &mut u32) -> Option<Stepped> {
         let r = self.model.r();
-        let [to_velocity, to_acceleration] = self.rates();
-        let mut q = start.q.clone();
+        let [to_velocity, to_acceleration] = self.scheme.rates(self.dt);
+        let n = r + if self.rigid.is_some() { 6 } else { 0 };
+        let derivative = Derivative { rate: to_velocity, of_frame: self.rigid.is_some() };
+        // The frame's momentum changes by force times dt, and it moves with the mean velocity or the last.
+        let frame_weight = to_velocity / self.dt;
+        let mut x = start.q.clone();
+        x.resize(n, 0.0);
         // The last Newton step, and the residual's part along it where it began.
         let mut last: Option<(f64, Vec<f64>)> = None;
         let mut backtracks = 0;
         for _ in 0..MOST_EVALUATIONS[usize::from(self.scheme == Scheme::QuasiStatic)] {
-            let State { velocity, acceleration, .. } = self.state_at(&q, start);
-            let sums = self.model.sums(&q, true);
+            let (q, frame) = x.split_at(r);
+            let State { velocity, acceleration, .. } = self.state_at(q, start);
+            let sums = self.model.sums(q, true);
+            let part = |first: usize| Vector3::from_fn(|axis, _| frame[first + axis]);
+            let [shift, turn] =
+                if self.rigid.is_some() { [part(0), part(3)] } else { [Vector3::zeros(); 2] };
+            let placement = match self.rigid {
+                Some(_) => self.placement.corrected(shift, turn, to_velocity),
+                None => self.placement,
+            };
             let pull = (!self.interactions.are_none())
-                .then(|| self.interactions.pull(&q, &velocity, Some(to_velocity)));
+                .then(|| self.interactions.pull(&placement, q, &velocity, Some(derivative)));
+            let total = pull.as_ref().map_or([Vector3::zeros(); 2], |pull| pull.total);
             let mut scale = 0.0;
-            let residual: Vec<f64> = (0..r)
+            let mut residual: Vec<f64> = (0..r)
                 .map(|i| {
                     let damped: f64 = match self.scheme {
                         Scheme::QuasiStatic => 0.0,
@@ -97,6 +147,13 @@ impl Step<'_> {
                     self.load[i] + pulled - inertia - damped - sums.force[i]
                 })
                 .collect();
+            if let Some(RigidPart { mass_kg, inertia, expected }) = self.rigid {
+                let wanted = [shift * (mass_kg * frame_weight), inertia * turn * frame_weight];
+                for ((total, expected), wanted) in total.iter().zip(&expected).zip(&wanted) {
+                    scale += total.norm_squared() + expected.norm_squared();
+                    residual.extend((total - expected - wanted).iter());
+                }
+            }
             let norm = residual.iter().map(|x| x * x).sum::<f64>();
             if !scale.is_finite() {
                 // A step into the void can be taken back; a state that is there already cannot.
@@ -105,23 +162,34 @@ impl Step<'_> {
                 if backtracks > MOST_BACKTRACKS {
                     return None;
                 }
-                retreat(&mut q, step, backtracks);
+                retreat(&mut x, step, backtracks);
                 continue;
             }
             if norm <= TOLERANCE * TOLERANCE * scale {
-                return Some(State { q, velocity, acceleration });
+                let state = State { q: q.to_vec(), velocity, acceleration };
+                return Some(Stepped { state, placement, total });
             }
             if let Some((before, step)) = &last
                 && inner(&residual, step) < -OVERSHOOT * before
                 && backtracks < MOST_BACKTRACKS
             {
                 backtracks += 1;
-                retreat(&mut q, step, backtracks);
+                retreat(&mut x, step, backtracks);
                 continue;
             }
-            let mut jacobian = sums.stiffness;
-            if let Some(stiffness) = pull.and_then(|pull| pull.stiffness) {
-                jacobian += stiffness;
+            let mut jacobian = match pull.and_then(|pull| pull.stiffness) {
+                Some(stiffness) => stiffness,
+                None => Mat::zeros(n, n),
+            };
+            let mut of_q = jacobian.as_mut().submatrix_mut(0, 0, r, r);
+            of_q += &sums.stiffness;
+            if let Some(RigidPart { mass_kg, inertia, .. }) = self.rigid {
+                for i in 0..3 {
+                    jacobian[(r + i, r + i)] += mass_kg * frame_weight;
+                    for j in 0..3 {
+                        jacobian[(r + 3 + i, r + 3 + j)] += inertia[(i, j)] * frame_weight;
+                    }
+                }
             }
             for j in 0..r {
                 for i in 0..r {
@@ -129,23 +197,14 @@ impl Step<'_> {
                 }
                 jacobian[(j, j)] += to_acceleration;
             }
-            let step = solve(jacobian, &residual, self.interactions.are_unsymmetric())?;
-            q.iter_mut().zip(&step).for_each(|(q, step)| *q += step);
+            let is_unsymmetric = self.interactions.are_unsymmetric(&placement);
+            let step = solve(jacobian, &residual, is_unsymmetric)?;
+            x.iter_mut().zip(&step).for_each(|(x, step)| *x += step);
             last = Some((inner(&residual, &step), step));
             backtracks = 0;
             *n_newton += 1;
         }
         None
-    }
-
-    /// Derivatives of velocity and acceleration by q.
-    fn rates(&self) -> [f64; 2] {
-        let dt = self.dt;
-        match self.scheme {
-            Scheme::Newmark => [2.0 / dt, 4.0 / (dt * dt)],
-            Scheme::BackwardEuler => [1.0 / dt, 1.0 / (dt * dt)],
-            Scheme::QuasiStatic => [0.0, 0.0],
-        }
     }
 
     /// `q` with its rates.

@@ -3,7 +3,7 @@
 use crate::config::Limits;
 use crate::error::{InputError, StoreError};
 use crate::session::{CreateSession, EditRequest};
-use crate::simulation::{SimulationConfig, VertexForce};
+use crate::simulation::{ContactConfig, GrabConfig, SimulationConfig, VertexForce};
 use sutura_core::edit::Edit;
 use sutura_core::reduced::{Evaluation, SimulationError};
 
@@ -111,7 +111,7 @@ pub(crate) fn evaluation(pose: usize, evaluation: &Evaluation) -> Result<(), Sto
 }
 
 pub(crate) fn simulation(config: &SimulationConfig, limits: &Limits) -> Result<(), StoreError> {
-    let SimulationConfig { params, publish_hz } = *config;
+    let SimulationConfig { params, ref obstacles, contact, publish_hz } = *config;
     let low = limits.min_dt_s;
     if !(low..=1.0).contains(&params.dt_s) {
         return Err(InputError::TimeStep { given: params.dt_s, low }.into());
@@ -123,8 +123,55 @@ pub(crate) fn simulation(config: &SimulationConfig, limits: &Limits) -> Result<(
     if !(publish_hz > 0.0 && publish_hz <= high) {
         return Err(InputError::PublishRate { given: publish_hz, high }.into());
     }
+    at_most("obstacles of one simulation", limits.max_obstacles, obstacles.len())?;
+    for (obstacle, shape) in obstacles.iter().enumerate() {
+        shape.check().map_err(|error| InputError::Obstacle { obstacle, error })?;
+    }
+    let ContactConfig { stiffness_pa_m, damping_s_m, friction, creep_m_s } = contact;
+    for (name, value) in
+        [("stiffness_pa_m", stiffness_pa_m.unwrap_or(1.0)), ("creep_m_s", creep_m_s.unwrap_or(1.0))]
+    {
+        if !(value > 0.0 && value.is_finite()) {
+            return Err(InputError::Contact { name, rule: "positive and finite", value }.into());
+        }
+    }
+    for (name, value) in [("damping_s_m", damping_s_m), ("friction", friction)] {
+        if !(value >= 0.0 && value.is_finite()) {
+            let rule = "finite and not negative";
+            return Err(InputError::Contact { name, rule, value }.into());
+        }
+    }
     Ok(())
 }
+
+pub(crate) fn grabs(
+    grabs: &[GrabConfig],
+    n_released: usize,
+    n_vertices: usize,
+    limits: &Limits,
+) -> Result<(), StoreError> {
+    at_most("grabs of one simulation", limits.max_grabs, grabs.len().max(n_released))?;
+    for (grab, GrabConfig { vertex, target_m, stiffness_n_m, damping_n_s_m, .. }) in
+        grabs.iter().enumerate()
+    {
+        if *vertex as usize >= n_vertices {
+            return Err(InputError::GrabVertex { grab, vertex: *vertex, n_vertices }.into());
+        }
+        if !target_m.iter().all(|x| x.abs() <= 1e9) {
+            return Err(InputError::GrabTarget { grab }.into());
+        }
+        for (name, value) in [("stiffness_n_m", stiffness_n_m), ("damping_n_s_m", damping_n_s_m)] {
+            if !(0.0..=MOST_GRAB_STIFFNESS).contains(value) {
+                let high = MOST_GRAB_STIFFNESS;
+                return Err(InputError::GrabStrength { grab, name, value: *value, high }.into());
+            }
+        }
+    }
+    Ok(())
+}
+
+/// In N/m, and as damping in N·s/m.
+const MOST_GRAB_STIFFNESS: f64 = 1e9;
 
 pub(crate) fn forces(
     forces: &[VertexForce],

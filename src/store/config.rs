@@ -93,6 +93,10 @@ pub struct Limits {
     pub min_dt_s: f64,
     /// Highest rate of published frames in Hz.
     pub max_publish_hz: f64,
+    /// Obstacles of one simulation.
+    pub max_obstacles: usize,
+    /// Grabs of one simulation.
+    pub max_grabs: usize,
     /// Forces in one request.
     pub max_forces_per_request: usize,
     /// Forces acting at once in one simulation.
@@ -123,6 +127,8 @@ impl Default for Limits {
             max_simulations: 16,
             min_dt_s: 5e-4,
             max_publish_hz: 1000.0,
+            max_obstacles: 64,
+            max_grabs: 32,
             max_forces_per_request: 256,
             max_active_forces: 1024,
             max_force_n: 1e9,

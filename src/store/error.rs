@@ -4,6 +4,7 @@ use crate::session::{SessionId, SessionState};
 use sutura_core::build::BuildError;
 use sutura_core::edit::EditError;
 use sutura_core::reduced::SimulationError;
+use sutura_core::reduced::contact::ObstacleError;
 
 /// Why a call failed. Whatever the error, the session is as it was before.
 #[derive(Debug, thiserror::Error)]
@@ -118,6 +119,16 @@ pub enum InputError {
     TimeStep { given: f64, low: f64 },
     #[error("publish_hz must be positive and at most {high}, not {given}")]
     PublishRate { given: f64, high: f64 },
+    #[error("obstacle {obstacle}: {error}")]
+    Obstacle { obstacle: usize, error: ObstacleError },
+    #[error("contact: {name} must be {rule}, not {value}")]
+    Contact { name: &'static str, rule: &'static str, value: f64 },
+    #[error("grab {grab}: vertex {vertex} is out of range, the mesh has {n_vertices} vertices")]
+    GrabVertex { grab: usize, vertex: u32, n_vertices: usize },
+    #[error("grab {grab}: target_m must be finite and at most 1e9 m in each axis")]
+    GrabTarget { grab: usize },
+    #[error("grab {grab}: {name} must be between 0 and {high:e}, not {value:e}")]
+    GrabStrength { grab: usize, name: &'static str, value: f64, high: f64 },
     #[error("force {force}: vertex {vertex} is out of range, the mesh has {n_vertices} vertices")]
     ForceVertex { force: usize, vertex: u32, n_vertices: usize },
     #[error("force {force}: force_n must be finite and at most {high:e} N in each axis")]

@@ -35,5 +35,7 @@ pub use session::{
     CreateSession, EditRequest, Generation, GenerationRef, NotASessionId, Progress, SessionId,
     SessionInfo, SessionState,
 };
-pub use simulation::{Frame, SimulationConfig, SimulationInfo, VertexForce};
+pub use simulation::{
+    ContactConfig, Frame, GrabConfig, SimulationConfig, SimulationInfo, VertexForce,
+};
 pub use store::{Load, Store};

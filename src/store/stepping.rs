@@ -8,12 +8,14 @@ use crate::error::StoreError;
 use crate::pacing::{Pace, PublishRate};
 use crate::pool::catching;
 use crate::session::Generation;
-use crate::simulation::{FrameSource, SimulationConfig, SimulationInfo, VertexForce};
+use crate::simulation::{FrameSource, GrabConfig, SimulationConfig, SimulationInfo, VertexForce};
+use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
-use sutura_core::reduced::Simulation;
+use sutura_core::reduced::contact::ContactSurface;
+use sutura_core::reduced::{Grab, Simulation, VertexRows};
 
 /// Messages handled between two rounds of steps, at most: a flood of them must not stop the steps.
 const MESSAGES_A_ROUND: usize = 256;
@@ -28,8 +30,13 @@ enum Message {
     Start(Box<Running>),
     Configure(Key, SimulationConfig),
     Forces(Key, Vec<VertexForce>),
-    /// The next generation, and the matrix that carries reduced coordinates over to it.
-    Switch(Key, Arc<Generation>, Vec<f64>),
+    /// Grabs to take hold or be moved, and the names of those to let go.
+    Grabs(Key, Vec<GrabConfig>, Vec<u64>),
+    /// The surface in the basis of the generation of that number.
+    Surface(Key, u64, Arc<ContactSurface>),
+    /// The next generation, the matrix that carries reduced coordinates over to it, and its surface, if
+    /// there are obstacles.
+    Switch(Key, Arc<Generation>, Vec<f64>, Option<Arc<ContactSurface>>),
     /// Look at the `stopped` flags.
     Stop,
 }
@@ -82,7 +89,7 @@ impl SteppingThreads {
             stopped: AtomicBool::new(false),
             n_active_forces: AtomicUsize::new(0),
             info: Mutex::new(SimulationInfo {
-                config,
+                config: config.clone(),
                 time_s: simulation.time_s(),
                 generation: generation.number,
                 n_steps: 0,
@@ -90,8 +97,11 @@ impl SteppingThreads {
                 n_recovered_steps: 0,
                 n_frames: 0,
                 n_active_forces: 0,
+                n_grabs: 0,
+                interaction_force_n: [0.0; 3],
                 error: None,
             }),
+            held: Mutex::default(),
         });
         let key = self.next_key.fetch_add(1, Ordering::Relaxed);
         let handle = SimulationHandle {
@@ -109,7 +119,8 @@ impl SteppingThreads {
             pace: None,
             publish_rate: PublishRate::default(),
             forces: Vec::new(),
-            reduced_force: Vec::new(),
+            grabs: Vec::new(),
+            no_load: Vec::new(),
             frames,
             shared,
             on_failure: Some(Box::new(on_failure)),
@@ -149,9 +160,15 @@ struct Shared {
     stopped: AtomicBool,
     n_active_forces: AtomicUsize,
     info: Mutex<SimulationInfo>,
+    /// Names of the grabs that hold on.
+    held: Mutex<BTreeSet<u64>>,
 }
 
 impl Shared {
+    fn held(&self) -> MutexGuard<'_, BTreeSet<u64>> {
+        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn info(&self) -> MutexGuard<'_, SimulationInfo> {
         self.info.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -175,7 +192,8 @@ impl SimulationHandle {
 
     pub(crate) fn info(&self) -> SimulationInfo {
         let n_active_forces = self.shared.n_active_forces.load(Ordering::Acquire);
-        SimulationInfo { n_active_forces, ..self.shared.info().clone() }
+        let n_grabs = self.shared.held().len();
+        SimulationInfo { n_active_forces, n_grabs, ..self.shared.info().clone() }
     }
 
     /// Stops it before its next step; tells whether it was running.
@@ -188,8 +206,41 @@ impl SimulationHandle {
 
     /// Goes on with another configuration from the next step on.
     pub(crate) fn configure(&self, config: SimulationConfig) -> Result<(), StoreError> {
-        self.post(Message::Configure(self.key, config))?;
+        self.post(Message::Configure(self.key, config.clone()))?;
         self.shared.info().config = config;
+        Ok(())
+    }
+
+    /// Hands the thread the surface of the body, if there are obstacles. Takes long: for a pool.
+    pub(crate) fn update_surface(&self) {
+        let generation = self.target.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        if let Some(surface) = self.surface_of(&generation) {
+            // A full mailbox is emptied within a step.
+            let _ = self.mailbox.send(Message::Surface(self.key, generation.number, surface));
+        }
+    }
+
+    fn surface_of(&self, generation: &Generation) -> Option<Arc<ContactSurface>> {
+        let has_obstacles = !self.shared.info().config.obstacles.is_empty();
+        has_obstacles.then(|| generation.artifacts.contact_surface().clone())
+    }
+
+    /// Takes hold, moves grabs, and lets go, unless more than `limit` would hold on.
+    pub(crate) fn grab(
+        &self,
+        grabs: Vec<GrabConfig>,
+        release: Vec<u64>,
+        limit: usize,
+    ) -> Result<(), StoreError> {
+        let mut held = self.shared.held();
+        let mut next = held.clone();
+        next.retain(|id| !release.contains(id));
+        next.extend(grabs.iter().map(|grab| grab.id));
+        if next.len() > limit {
+            return Err(StoreError::Full { what: "grabs", limit });
+        }
+        self.post(Message::Grabs(self.key, grabs, release))?;
+        *held = next;
         Ok(())
     }
 
@@ -221,7 +272,9 @@ impl SimulationHandle {
         let old = target().clone();
         let transfer = generation.artifacts.transfer_from(&old.artifacts);
         // The thread is gone only at the very end of the process.
-        let _ = self.mailbox.send(Message::Switch(self.key, generation.clone(), transfer));
+        let surface = self.surface_of(&generation);
+        let switch = Message::Switch(self.key, generation.clone(), transfer, surface);
+        let _ = self.mailbox.send(switch);
         *target() = generation;
     }
 
@@ -233,18 +286,17 @@ impl SimulationHandle {
     }
 }
 
-/// A force with its reduced counterpart Uᵀf in the basis of the current generation.
+/// A force, and its vertex in the basis of the current generation.
 struct ActiveForce {
     force: VertexForce,
     remaining_s: f64,
-    reduced: Vec<f64>,
+    vertex: VertexRows,
 }
 
-impl ActiveForce {
-    fn project(&mut self, generation: &Generation) {
-        let VertexForce { vertex, force_n, .. } = self.force;
-        self.reduced = generation.artifacts.vertex_load(vertex, force_n);
-    }
+/// A grab, and its vertex in the basis of the current generation.
+struct ActiveGrab {
+    config: GrabConfig,
+    vertex: Arc<VertexRows>,
 }
 
 /// A simulation as its thread owns it.
@@ -257,7 +309,9 @@ struct Running {
     pace: Option<Pace>,
     publish_rate: PublishRate,
     forces: Vec<ActiveForce>,
-    reduced_force: Vec<f64>,
+    grabs: Vec<ActiveGrab>,
+    /// Zeros: all forces act at vertices.
+    no_load: Vec<f64>,
     frames: Arc<FrameSource>,
     shared: Arc<Shared>,
     on_failure: Option<Box<dyn FnOnce() + Send>>,
@@ -311,15 +365,29 @@ fn handle(message: Message, simulations: &mut Vec<Running>) {
             });
             simulations.push(*simulation);
         }
-        Message::Configure(key, config) => with(key, &mut |s| s.configure(config)),
+        Message::Configure(key, config) => with(key, &mut |s| s.configure(config.clone())),
         Message::Forces(key, mut forces) => {
             with(key, &mut |s| {
                 s.add_forces(std::mem::take(&mut forces));
                 Ok(())
             });
         }
-        Message::Switch(key, generation, transfer) => {
-            with(key, &mut |s| s.switch(generation.clone(), &transfer));
+        Message::Grabs(key, grabs, release) => {
+            with(key, &mut |s| {
+                s.grab(&grabs, &release);
+                Ok(())
+            });
+        }
+        Message::Surface(key, number, surface) => {
+            with(key, &mut |s| {
+                if s.generation.number == number {
+                    s.surround(Some(surface.clone()));
+                }
+                Ok(())
+            });
+        }
+        Message::Switch(key, generation, transfer, surface) => {
+            with(key, &mut |s| s.switch(generation.clone(), &transfer, surface.clone()));
         }
         Message::Stop => {}
     }
@@ -340,34 +408,27 @@ impl Running {
     }
 
     fn step(&mut self, n_late: u64) -> Result<(), StoreError> {
-        let SimulationConfig { params, publish_hz } = self.config;
-        self.sum_forces(params.dt_s);
-        let report = self.simulation.step(&self.reduced_force, &[]);
+        let SimulationConfig { params, publish_hz, .. } = self.config;
+        self.no_load.resize(self.simulation.q().len(), 0.0);
+        // A force that ends within the step counts in part, so that its impulse is what was asked for.
+        let share = |active: &ActiveForce| (active.remaining_s / params.dt_s).min(1.0);
+        let force = |active: &ActiveForce| active.force.force_n.map(|f| share(active) * f);
+        let loads: Vec<(&VertexRows, [f64; 3])> =
+            self.forces.iter().map(|active| (&active.vertex, force(active))).collect();
+        let report = self.simulation.step(&self.no_load, &loads);
         {
             let mut info = self.shared.info();
             info.time_s = self.simulation.time_s();
             info.n_steps += 1;
             info.n_late_steps += n_late;
             info.n_recovered_steps += u64::from(report.recovered);
+            info.interaction_force_n = self.simulation.interaction_force_n();
         }
         self.end_forces(params.dt_s);
         if self.publish_rate.is_due(params.dt_s, publish_hz) {
             self.publish();
         }
         Ok(())
-    }
-
-    /// Sums the reduced forces of this step. A force that ends within it counts in part, so that
-    /// its impulse is what was asked for.
-    fn sum_forces(&mut self, dt_s: f64) {
-        self.reduced_force.clear();
-        self.reduced_force.resize(self.simulation.q().len(), 0.0);
-        for active in &self.forces {
-            let share = (active.remaining_s / dt_s).min(1.0);
-            for (sum, f) in self.reduced_force.iter_mut().zip(&active.reduced) {
-                *sum += share * f;
-            }
-        }
     }
 
     /// Drops the forces that ended within the step just taken.
@@ -383,11 +444,45 @@ impl Running {
 
     fn add_forces(&mut self, forces: Vec<VertexForce>) {
         for force in forces {
-            let mut active =
-                ActiveForce { force, remaining_s: force.duration_s, reduced: Vec::new() };
-            active.project(&self.generation);
-            self.forces.push(active);
+            let vertex = self.generation.artifacts.vertex_rows(force.vertex);
+            self.forces.push(ActiveForce { force, remaining_s: force.duration_s, vertex });
         }
+    }
+
+    fn grab(&mut self, grabs: &[GrabConfig], release: &[u64]) {
+        self.grabs.retain(|active| !release.contains(&active.config.id));
+        for &config in grabs {
+            let known = self.grabs.iter_mut().find(|active| active.config.id == config.id);
+            match known {
+                Some(active) if active.config.vertex == config.vertex => active.config = config,
+                known => {
+                    let vertex = Arc::new(self.generation.artifacts.vertex_rows(config.vertex));
+                    let active = ActiveGrab { config, vertex };
+                    match known {
+                        Some(known) => *known = active,
+                        None => self.grabs.push(active),
+                    }
+                }
+            }
+        }
+        self.hold();
+    }
+
+    /// Hands the grabs to the simulation.
+    fn hold(&mut self) {
+        let grab = |ActiveGrab { config, vertex }: &ActiveGrab| Grab {
+            vertex: vertex.clone(),
+            target_m: config.target_m,
+            stiffness_n_m: config.stiffness_n_m,
+            damping_n_s_m: config.damping_n_s_m,
+        };
+        self.simulation.set_grabs(self.grabs.iter().map(grab).collect());
+    }
+
+    /// Puts the configured obstacles around the body, whose surface this is.
+    fn surround(&mut self, surface: Option<Arc<ContactSurface>>) {
+        let environment = self.config.environment(&self.generation.artifacts);
+        self.simulation.set_environment(environment, surface);
     }
 
     fn configure(&mut self, config: SimulationConfig) -> Result<(), StoreError> {
@@ -396,26 +491,41 @@ impl Running {
             pace.set_period(config.params.dt_s);
         }
         self.config = config;
+        // Obstacles may have moved; a surface that is not there yet follows.
+        let surface = self.simulation.surface().cloned();
+        self.surround(surface);
         Ok(())
     }
 
     /// Goes on with the next generation. The state is published in both bases, so that a client
     /// sees the same moment before and after.
-    fn switch(&mut self, generation: Arc<Generation>, transfer: &[f64]) -> Result<(), StoreError> {
+    fn switch(
+        &mut self,
+        generation: Arc<Generation>,
+        transfer: &[f64],
+        surface: Option<Arc<ContactSurface>>,
+    ) -> Result<(), StoreError> {
         self.publish();
         self.simulation.switch(generation.artifacts.model().clone(), transfer)?;
         self.generation = generation;
+        let body = &self.generation.artifacts;
         for active in &mut self.forces {
-            active.project(&self.generation);
+            active.vertex = body.vertex_rows(active.force.vertex);
         }
+        for active in &mut self.grabs {
+            active.vertex = Arc::new(body.vertex_rows(active.config.vertex));
+        }
+        self.hold();
+        self.surround(surface);
         self.shared.info().generation = self.generation.number;
         self.publish();
         Ok(())
     }
 
     fn publish(&mut self) {
-        let (time_s, q) = (self.simulation.time_s(), self.simulation.q());
-        self.frames.publish(time_s, self.generation.number, q);
+        let Running { simulation, generation, .. } = self;
+        let (time_s, q) = (simulation.time_s(), simulation.q());
+        self.frames.publish(time_s, generation.number, simulation.rigid(), q);
         self.shared.info().n_frames += 1;
     }
 }

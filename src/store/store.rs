@@ -11,7 +11,7 @@ use crate::prepared::PreparedBodies;
 use crate::session::{
     CreateSession, EditRequest, Generation, GenerationRef, SessionId, SessionInfo,
 };
-use crate::simulation::{Frame, SimulationConfig, SimulationInfo, VertexForce};
+use crate::simulation::{Frame, GrabConfig, SimulationConfig, SimulationInfo, VertexForce};
 use crate::stepping::SteppingThreads;
 use crate::tasks::{run_build, run_edit};
 use std::collections::BTreeMap;
@@ -299,8 +299,9 @@ impl Store {
         self.shared.queries.run(QUERY, None, what, run).await
     }
 
-    /// Starts the session's simulation at rest, or changes how the running one goes on.
-    pub fn put_simulation(
+    /// Starts the session's simulation at rest, or changes how the running one goes on. Obstacles are there
+    /// when the answer is.
+    pub async fn put_simulation(
         &self,
         id: SessionId,
         config: SimulationConfig,
@@ -310,7 +311,7 @@ impl Store {
         check::simulation(&config, &shared.config.limits)?;
         let limit = shared.config.limits.max_simulations;
         let handle = session.put_simulation(
-            |running| running.configure(config),
+            |running| running.configure(config.clone()),
             |generation, frames| {
                 let session = Arc::downgrade(&session);
                 let on_failure = move || {
@@ -318,9 +319,13 @@ impl Store {
                         session.simulation_failed();
                     }
                 };
-                shared.stepping.add(generation, config, frames, limit, on_failure)
+                shared.stepping.add(generation, config.clone(), frames, limit, on_failure)
             },
         )?;
+        if !config.obstacles.is_empty() {
+            let handle = handle.clone();
+            self.compute("the surface", move |_| handle.update_surface()).await?;
+        }
         Ok(handle.info())
     }
 
@@ -345,6 +350,25 @@ impl Store {
             return Err(StoreError::NoSimulation);
         }
         simulation.push_forces(forces, limits.max_active_forces)
+    }
+
+    /// Lets grabs take hold of vertices of the running simulation, moves those of the same names, and lets those
+    /// named in `release` go.
+    pub fn grab(
+        &self,
+        id: SessionId,
+        grabs: Vec<GrabConfig>,
+        release: Vec<u64>,
+    ) -> Result<(), StoreError> {
+        let limits = &self.shared.config.limits;
+        let session = self.session(id)?;
+        let n_vertices = session.info().mesh.vertices().len();
+        check::grabs(&grabs, release.len(), n_vertices, limits)?;
+        let simulation = session.simulation()?;
+        if !simulation.is_running() {
+            return Err(StoreError::NoSimulation);
+        }
+        simulation.grab(grabs, release, limits.max_grabs)
     }
 
     /// The frames of the session's present and future simulations. Ends when the session does.

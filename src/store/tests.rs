@@ -1,10 +1,12 @@
 //! The store from the outside, on small real bodies.
 
+mod interaction;
+
 use crate::store::{BUILD, EDIT};
 use crate::{
-    CreateSession, EditRequest, Event, EventKind, Frame, Generation, GenerationRef, InputError,
-    Limits, SessionId, SessionState, SimulationConfig, Store, StoreConfig, StoreError, VertexForce,
-    WorkConfig,
+    ContactConfig, CreateSession, EditRequest, Event, EventKind, Frame, Generation, GenerationRef,
+    InputError, Limits, SessionId, SessionState, SimulationConfig, Store, StoreConfig, StoreError,
+    VertexForce, WorkConfig,
 };
 use std::future::Future;
 use std::pin::pin;
@@ -334,7 +336,7 @@ async fn a_session_that_is_still_being_built_refuses_what_needs_a_body() {
     building(store.edit(id, stitch(&seam())).await.map(drop));
     building(store.fork(id, None).map(drop));
     building(store.generation(id, GenerationRef::Current).map(drop));
-    building(store.put_simulation(id, simulation()).map(drop));
+    building(store.put_simulation(id, simulation()).await.map(drop));
     let waited = store.wait_ready(id, Duration::from_millis(1)).await.unwrap();
     assert_eq!(waited.state, SessionState::Building);
 }
@@ -464,6 +466,13 @@ fn simulation() -> SimulationConfig {
             integrator: Integrator::ImplicitNewmark,
             gravity_m_s2: [0.0; 3],
         },
+        obstacles: Vec::new(),
+        contact: ContactConfig {
+            stiffness_pa_m: None,
+            damping_s_m: 1.0,
+            friction: 0.3,
+            creep_m_s: None,
+        },
         publish_hz: 1000.0,
     }
 }
@@ -488,7 +497,7 @@ async fn a_simulation_moves_under_a_force_and_carries_its_state_over_an_edit() {
     let before = current(&store, id);
     let mut events = store.subscribe(id).unwrap();
     let mut frames = store.subscribe_frames(id).unwrap();
-    store.put_simulation(id, simulation()).unwrap();
+    store.put_simulation(id, simulation()).await.unwrap();
     assert_eq!(next_event(&mut events).await, EventKind::SimulationStarted);
     store.push_forces(id, vec![pull(1000.0)]).unwrap();
     while displacement(&before, &*next_frame(&mut frames).await)[1] < 1e-4 {}
@@ -528,7 +537,7 @@ async fn a_simulation_moves_under_a_force_and_carries_its_state_over_an_edit() {
 async fn a_force_ends_by_itself() {
     let store = store();
     let id = ready(&store).await;
-    store.put_simulation(id, simulation()).unwrap();
+    store.put_simulation(id, simulation()).await.unwrap();
     store.push_forces(id, vec![pull(0.003), pull(0.02)]).unwrap();
     assert_eq!(store.simulation(id).unwrap().n_active_forces, 2);
     while store.simulation(id).unwrap().n_active_forces > 0 {
@@ -541,10 +550,10 @@ async fn a_force_ends_by_itself() {
 async fn a_running_simulation_can_be_changed() {
     let store = store();
     let id = ready(&store).await;
-    store.put_simulation(id, simulation()).unwrap();
+    store.put_simulation(id, simulation()).await.unwrap();
     let mut config = simulation();
     config.params.dt_s = 0.004;
-    let info = store.put_simulation(id, config).unwrap();
+    let info = store.put_simulation(id, config.clone()).await.unwrap();
     assert_eq!((info.config, store.load().n_simulations), (config, 1));
     let mut frames = store.subscribe_frames(id).unwrap();
     let mut last = next_frame(&mut frames).await;
@@ -566,13 +575,13 @@ async fn a_simulation_that_loses_its_support_ends_and_says_why() {
     request.params.fixed_vertices = section(0, 0).collect();
     let id = store.create(request).unwrap();
     store.wait_ready(id, PATIENCE).await.unwrap();
-    let refused = store.put_simulation(id, simulation());
+    let refused = store.put_simulation(id, simulation()).await;
     assert!(matches!(
         refused,
         Err(StoreError::Simulation(SimulationError::PartlyFree { n_rigid_modes: 6 }))
     ));
     let stitched = store.edit(id, stitch(&seam())).await.unwrap();
-    store.put_simulation(id, simulation()).unwrap();
+    store.put_simulation(id, simulation()).await.unwrap();
     let mut events = store.subscribe(id).unwrap();
     let unstitch = EditRequest {
         edits: vec![Edit::Unstitch { stitch_ids: stitched.stitch_ids.clone() }],
@@ -616,17 +625,17 @@ async fn simulations_and_forces_are_limited() {
     let limits = Limits { max_simulations: 1, max_active_forces: 1, ..Limits::default() };
     let store = store_with(WorkConfig::default(), limits);
     let (a, b) = (ready(&store).await, ready(&store).await);
-    store.put_simulation(a, simulation()).unwrap();
-    let full = store.put_simulation(b, simulation());
+    store.put_simulation(a, simulation()).await.unwrap();
+    let full = store.put_simulation(b, simulation()).await;
     assert!(matches!(full, Err(StoreError::Full { what: "simulations", limit: 1 })));
     store.push_forces(a, vec![pull(1000.0)]).unwrap();
     let full = store.push_forces(a, vec![pull(1000.0)]);
     assert!(matches!(full, Err(StoreError::Full { what: "active forces", limit: 1 })));
     store.stop_simulation(a).unwrap();
-    store.put_simulation(b, simulation()).unwrap();
+    store.put_simulation(b, simulation()).await.unwrap();
     let mut bad = simulation();
     bad.params.dt_s = f64::NAN;
-    let refused = store.put_simulation(b, bad);
+    let refused = store.put_simulation(b, bad).await;
     assert!(matches!(refused, Err(StoreError::Input(InputError::TimeStep { .. }))));
     let force = VertexForce { vertex: u32::MAX, ..pull(1.0) };
     let refused = store.push_forces(b, vec![pull(1.0), force]);

@@ -13,7 +13,7 @@ use sutura_proto::generation::{
     MAX_DICTIONARY_BLOCKS, PARAMETER_BLOCKS, PARAMETER_DTYPE, PARAMETER_FROM, PARAMETER_HAVE,
 };
 use sutura_proto::session::{SeamReply, SeamRequest, SessionInfo};
-use sutura_proto::simulation::ForceRequest;
+use sutura_proto::simulation::{ForceRequest, GrabRequest};
 use sutura_store::{Generation, GenerationRef, SessionId};
 
 /// What a client wrote, quoted and cut to what fits into a sentence.
@@ -110,6 +110,12 @@ pub(crate) fn push_forces(
     request: ForceRequest,
 ) -> Result<(), Problem> {
     Ok(gateway.store().push_forces(id, simulation::forces(request)?)?)
+}
+
+/// Takes hold of vertices of a running simulation, moves what holds on, and lets go.
+pub(crate) fn grab(gateway: &Gateway, id: SessionId, request: GrabRequest) -> Result<(), Problem> {
+    let (grabs, release) = simulation::grabs(request)?;
+    Ok(gateway.store().grab(id, grabs, release)?)
 }
 
 /// Which array of which generation, and how it is to travel.

@@ -240,6 +240,10 @@ async fn evaluators_are_consistent_or_refused() {
         WireArray::f64(EVALUATOR_SHAPE_GRADIENTS, [p, 4, 3], vec![1.0; 12 * p]),
         WireArray::f64(EVALUATOR_BASIS_ROWS, [p, 4, 3, r], vec![1.0; 12 * p * r]),
         WireArray::f64(EVALUATOR_STITCH_STIFFNESS, [r, r], vec![1.0; r * r]),
+        WireArray::u32(EVALUATOR_LAWS, [p], vec![1; p]),
+        WireArray::f64(EVALUATOR_MOONEY_RATIOS, [p], vec![0.0; p]),
+        WireArray::f64(EVALUATOR_GRAVITY_LOADS, [r, 3], vec![1.0; 3 * r]),
+        WireArray::f64(EVALUATOR_DAMPING, [2], vec![0.1, 0.001]),
     ];
     let evaluator: Evaluator<f64> = Hostile(arrays.clone()).evaluator(0.into()).await.unwrap();
     assert_eq!(evaluator.tets, [4, 7]);

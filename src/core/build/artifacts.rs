@@ -17,7 +17,7 @@ use crate::modes::AuditedSpectrum;
 use crate::modes::low_rank::MassInverse;
 use crate::modes::seams::Seams;
 use crate::modes::stitched::StitchMatrix;
-use crate::reduced::contact::ContactSurface;
+use crate::reduced::contact::{Contact, ContactSurface};
 use crate::reduced::{self, Evaluation, EvaluatorTables, ReducedModel, VertexRows};
 use faer::{Mat, MatRef};
 use std::collections::{BTreeMap, BTreeSet};
@@ -133,6 +133,8 @@ pub struct Artifacts {
     /// Validation error of the rule when it was last trained.
     pub(super) trained_error: f64,
     pub(super) model: Arc<ReducedModel>,
+    /// Of the mesh in the basis, made when a simulation has obstacles.
+    pub(super) surface: OnceLock<Arc<ContactSurface>>,
     pub(super) timings: Vec<(Stage, Duration)>,
     pub(super) warnings: Vec<String>,
 }
@@ -275,6 +277,7 @@ impl Artifacts {
             + self.modes.bytes()
             + self.basis.bytes()
             + self.model.bytes()
+            + self.surface.get().map_or(0, |surface| surface.bytes())
     }
 
     /// Elastic mode `i` over all vertices, vertex-major: 3·n_vertices numbers, fixed ones 0.
@@ -323,9 +326,23 @@ impl Artifacts {
         let rest_m = self.mesh().vertices()[vertex as usize];
         VertexRows { rest_m, rows: self.basis_rows(vertex) }
     }
-    /// The surface in the subspace, for contact. Takes as long as a column of the basis for each of them.
-    pub fn contact_surface(&self) -> ContactSurface {
-        reduced::contact_surface(&self.prepared.model, &self.basis)
+    /// The surface in the subspace, for contact; made when it is first asked for.
+    pub fn contact_surface(&self) -> &Arc<ContactSurface> {
+        self.surface
+            .get_or_init(|| Arc::new(reduced::contact_surface(&self.prepared.model, &self.basis)))
+    }
+    /// Contact as suits the body: the pressure at a depth of a tenth of its size is its stiffest Young's
+    /// modulus, and what sticks creeps by a hundredth of its size a second.
+    pub fn suited_contact(&self) -> Contact {
+        let materials = &self.prepared.params.materials;
+        let stiffest = materials.iter().map(|m| m.young_modulus_pa()).fold(0.0, f64::max);
+        let size = self.mesh().diagonal();
+        Contact {
+            stiffness_pa_m: 10.0 * stiffest / size,
+            damping_s_m: 1.0,
+            friction: 0.3,
+            creep_m_s: 0.01 * size,
+        }
     }
     /// The evaluator as plain arrays, for a client that steps on its own.
     pub fn evaluator_tables(&self) -> EvaluatorTables {

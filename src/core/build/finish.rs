@@ -13,7 +13,7 @@ use crate::edit::EditState;
 use crate::linalg;
 use crate::modes::AuditedSpectrum;
 use crate::reduced;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Poses for validation: this share of the training poses, and at least so many.
 const VALIDATION_SHARE: f64 = 0.2;
@@ -127,6 +127,7 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
         cubature,
         trained_error,
         model: Arc::new(model),
+        surface: OnceLock::new(),
         timings: clock.timings,
         prepared,
         state,

@@ -100,7 +100,7 @@ fn a_held_body_sags_onto_a_floor_and_no_further() {
     let start = lowest_m(&body, &simulation(&body, Integrator::QuasiStatic, 0.0, 0.1));
     assert!(sag < start - 1e-3);
     let height_m = 0.5 * (sag + start);
-    let surface = Arc::new(body.contact_surface());
+    let surface = body.contact_surface().clone();
     for integrator in [Integrator::ImplicitNewmark, Integrator::BackwardEuler] {
         let mut simulation = simulation(&body, integrator, -9.81, 5e-3);
         simulation.set_environment(Some(floor(height_m, 0.3)), Some(surface.clone()));
@@ -117,7 +117,7 @@ fn a_held_body_sags_onto_a_floor_and_no_further() {
 fn a_free_body_rests_on_the_floor_with_its_weight() {
     let body = body(false, DAMPED);
     let mut simulation = simulation(&body, Integrator::BackwardEuler, -9.81, 2e-3);
-    let surface = Arc::new(body.contact_surface());
+    let surface = body.contact_surface().clone();
     let height_m = lowest_m(&body, &simulation) - 0.005;
     simulation.set_environment(Some(floor(height_m, 0.3)), Some(surface));
     assert!(run(&mut simulation, 1500).iter().all(|report| !report.recovered));
@@ -136,7 +136,7 @@ fn a_free_body_rests_on_the_floor_with_its_weight() {
 fn friction_stops_a_sliding_body_after_the_distance_of_coulomb_s_law() {
     let body = body(false, DAMPED);
     let mut simulation = simulation(&body, Integrator::BackwardEuler, -9.81, 2e-3);
-    let surface = Arc::new(body.contact_surface());
+    let surface = body.contact_surface().clone();
     let height_m = lowest_m(&body, &simulation);
     let friction = 0.2;
     simulation.set_environment(Some(floor(height_m, friction)), Some(surface));
@@ -158,7 +158,7 @@ fn friction_stops_a_sliding_body_after_the_distance_of_coulomb_s_law() {
 #[test]
 fn a_pose_pressed_by_a_moving_tool_stays_finite() {
     let body = body(true, DAMPED);
-    let surface = Arc::new(body.contact_surface());
+    let surface = body.contact_surface().clone();
     for integrator in [
         Integrator::ImplicitNewmark,
         Integrator::BackwardEuler,

@@ -45,6 +45,10 @@ pub(super) struct Limits {
     #[serde(deserialize_with = "positive")]
     max_publish_hz: f64,
     #[serde(deserialize_with = "count")]
+    max_obstacles: usize,
+    #[serde(deserialize_with = "count")]
+    max_grabs: usize,
+    #[serde(deserialize_with = "count")]
     max_forces_per_request: usize,
     #[serde(deserialize_with = "count")]
     max_active_forces: usize,

@@ -118,7 +118,7 @@ pub(crate) async fn swing_closed(
     watcher.wait().await?;
     let simulation = session.simulation().await.doing("asking about the simulation")?;
     session.stop_simulation().await.doing("stopping the simulation")?;
-    Ok(Motion { config: *config, edit, edit_wall_ms, simulation, seen })
+    Ok(Motion { config: config.clone(), edit, edit_wall_ms, simulation, seen })
 }
 
 /// The displacement at `furthest`, with the basis of its generation.

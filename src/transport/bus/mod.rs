@@ -18,7 +18,7 @@ use crate::gateway::Gateway;
 use config::{check_daemon_name, endpoint, resolve, zenoh_config};
 use query::Queries;
 use std::net::SocketAddr;
-use sutura_proto::keys;
+use sutura_proto::keys::{self, Resource};
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::task::JoinSet;
 use zenoh::liveliness::LivelinessToken;
@@ -43,8 +43,10 @@ pub async fn open(gateway: &Gateway, config: BusConfig) -> Result<Bus, BusError>
     let zenoh_session = zenoh::open(zenoh_config(&config, address)?).await?;
     let mut tasks = JoinSet::new();
     let queries = query::declare(gateway, &zenoh_session).await?;
-    let forces = publication::subscribe_forces(&zenoh_session).await?;
-    tasks.spawn(publication::hear_forces(gateway.clone(), forces));
+    for resource in [Resource::Forces, Resource::Grabs] {
+        let heard = publication::subscribe(&zenoh_session, resource).await?;
+        tasks.spawn(publication::hear(gateway.clone(), heard));
+    }
     tasks.spawn(publication::publish(gateway.clone(), zenoh_session.clone()));
     // Last, so that whoever hears of the daemon finds it complete.
     let key = keys::daemon(&config.daemon).ok_or(BusError::DaemonName(config.daemon))?;

@@ -151,32 +151,44 @@ async fn publish_generation(
     }
 }
 
-/// Hears forces for every session until the subscriber is undeclared. Nobody waits for an answer:
+/// Hears forces or grabs for every session until the subscriber is undeclared. Nobody waits for an answer:
 /// what cannot be used is logged.
-pub(super) async fn hear_forces(gateway: Gateway, subscriber: ForceSubscriber) {
+pub(super) async fn hear(gateway: Gateway, subscriber: PullSubscriber) {
     while let Ok(sample) = subscriber.recv_async().await {
-        if let Err(problem) = push_forces(&gateway, &sample).await {
+        if let Err(problem) = pull(&gateway, &sample).await {
             tracing::warn!(key = %sample.key_expr(), problem.detail, "forces were refused");
         }
     }
 }
 
-/// Hears force messages; a slow reader loses the oldest.
-pub(super) type ForceSubscriber = Subscriber<RingChannelHandler<Sample>>;
+/// Hears messages that pull at bodies; a slow reader loses the oldest.
+pub(super) type PullSubscriber = Subscriber<RingChannelHandler<Sample>>;
 
-/// Subscribes to the forces for every session.
-pub(super) async fn subscribe_forces(zenoh_session: &Session) -> zenoh::Result<ForceSubscriber> {
+/// Subscribes to the forces or the grabs for every session.
+pub(super) async fn subscribe(
+    zenoh_session: &Session,
+    resource: Resource,
+) -> zenoh::Result<PullSubscriber> {
     zenoh_session
-        .declare_subscriber(keys::every_session(Resource::Forces))
+        .declare_subscriber(keys::every_session(resource))
         .with(RingChannel::new(MAX_WAITING_FORCES))
         .await
 }
 
-/// Hands the forces of one message to their session.
-async fn push_forces(gateway: &Gateway, sample: &Sample) -> Result<(), Problem> {
-    let (id, _) = keys::parse_session(sample.key_expr())
+/// Hands the forces or grabs of one message to their session.
+async fn pull(gateway: &Gateway, sample: &Sample) -> Result<(), Problem> {
+    let (id, resource) = keys::parse_session(sample.key_expr())
         .ok_or_else(|| Problem::new(Kind::MalformedParameter, "forces are for one session"))?;
+    let id = command::session_id(id)?;
     let form = Form::of(Some(sample.encoding()))?;
-    let request = form.parse(gateway, Some(sample.payload())).await?;
-    command::push_forces(gateway, command::session_id(id)?, request)
+    match resource {
+        Resource::Grabs => {
+            let request = form.parse(gateway, Some(sample.payload())).await?;
+            command::grab(gateway, id, request)
+        }
+        _ => {
+            let request = form.parse(gateway, Some(sample.payload())).await?;
+            command::push_forces(gateway, id, request)
+        }
+    }
 }

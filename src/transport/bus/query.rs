@@ -137,7 +137,7 @@ async fn answer(
         Resource::Positions => array(gateway, id, ArrayKind::Positions, query).await?,
         Resource::Tets => array(gateway, id, ArrayKind::Tets, query).await?,
         Resource::Stitches => array(gateway, id, ArrayKind::Stitches, query).await?,
-        Resource::State | Resource::Generation | Resource::Forces => {
+        Resource::State | Resource::Generation | Resource::Forces | Resource::Grabs => {
             return Err(Problem::new(Kind::NoRoute, "this key is no queryable"));
         }
     };

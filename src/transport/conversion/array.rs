@@ -177,6 +177,14 @@ fn assemble(
                     &[tables.r, tables.r],
                     &tables.stitch_stiffness,
                 )?,
+                Array::u32(names::EVALUATOR_LAWS, [p], tables.laws),
+                array(names::EVALUATOR_MOONEY_RATIOS, &[p], &tables.mooney_ratios)?,
+                array(names::EVALUATOR_GRAVITY_LOADS, &[tables.r, 3], &tables.gravity_loads)?,
+                array(
+                    names::EVALUATOR_DAMPING,
+                    &[2],
+                    &[tables.damping.mass_per_s, tables.damping.stiffness_s],
+                )?,
             ]
         }
     })

@@ -1,10 +1,13 @@
 //! Simulations, forces and published states.
 
 use crate::problem::{Kind, Problem};
+use sutura_core::reduced::contact::Obstacle;
 use sutura_core::reduced::{Integrator, SimulationParams};
 use sutura_proto::simulation as wire;
 use sutura_proto::state::StateFrame;
-use sutura_store::{Frame, SimulationConfig, SimulationInfo, VertexForce};
+use sutura_store::{
+    ContactConfig, Frame, GrabConfig, SimulationConfig, SimulationInfo, VertexForce,
+};
 
 /// The configuration as the store takes it.
 pub(crate) fn config(config: wire::SimulationConfig) -> Result<SimulationConfig, Problem> {
@@ -20,8 +23,35 @@ pub(crate) fn config(config: wire::SimulationConfig) -> Result<SimulationConfig,
             },
             gravity_m_s2: config.gravity_m_s2,
         },
+        obstacles: config.obstacles.iter().map(obstacle).collect(),
+        contact: ContactConfig {
+            stiffness_pa_m: config.contact.stiffness_pa_m,
+            damping_s_m: config.contact.damping_s_m,
+            friction: config.contact.friction,
+            creep_m_s: config.contact.creep_m_s,
+        },
         publish_hz: config.publish_hz,
     })
+}
+
+fn obstacle(given: &wire::Obstacle) -> Obstacle {
+    match *given {
+        wire::Obstacle::Plane { point_m, normal } => Obstacle::Plane { point_m, normal },
+        wire::Obstacle::Sphere { center_m, radius_m } => Obstacle::Sphere { center_m, radius_m },
+        wire::Obstacle::Capsule { from_m, to_m, radius_m } => {
+            Obstacle::Capsule { from_m, to_m, radius_m }
+        }
+    }
+}
+
+fn wire_obstacle(given: &Obstacle) -> wire::Obstacle {
+    match *given {
+        Obstacle::Plane { point_m, normal } => wire::Obstacle::Plane { point_m, normal },
+        Obstacle::Sphere { center_m, radius_m } => wire::Obstacle::Sphere { center_m, radius_m },
+        Obstacle::Capsule { from_m, to_m, radius_m } => {
+            wire::Obstacle::Capsule { from_m, to_m, radius_m }
+        }
+    }
 }
 
 fn wire_config(config: &SimulationConfig) -> wire::SimulationConfig {
@@ -34,6 +64,13 @@ fn wire_config(config: &SimulationConfig) -> wire::SimulationConfig {
             Integrator::QuasiStatic => wire::IntegratorConfig::QuasiStatic,
         },
         gravity_m_s2: config.params.gravity_m_s2,
+        obstacles: config.obstacles.iter().map(wire_obstacle).collect(),
+        contact: wire::ContactConfig {
+            stiffness_pa_m: config.contact.stiffness_pa_m,
+            damping_s_m: config.contact.damping_s_m,
+            friction: config.contact.friction,
+            creep_m_s: config.contact.creep_m_s,
+        },
         publish_hz: config.publish_hz,
     }
 }
@@ -52,6 +89,8 @@ pub(crate) fn info(info: &SimulationInfo) -> Result<wire::SimulationInfo, Proble
         n_recovered: info.n_recovered_steps,
         n_late: info.n_late_steps,
         n_forces: info.n_active_forces,
+        n_grabs: info.n_grabs,
+        interaction_force_n: info.interaction_force_n,
     })
 }
 
@@ -64,6 +103,19 @@ pub(crate) fn forces(request: wire::ForceRequest) -> Result<Vec<VertexForce>, Pr
         duration_s: force.duration_s,
     };
     Ok(request.forces.into_iter().map(force).collect())
+}
+
+/// The grabs as the store takes them, and the names of those to let go.
+pub(crate) fn grabs(request: wire::GrabRequest) -> Result<(Vec<GrabConfig>, Vec<u64>), Problem> {
+    request.validate()?;
+    let grab = |grab: wire::Grab| GrabConfig {
+        id: grab.id,
+        vertex: grab.vertex,
+        target_m: grab.target_m,
+        stiffness_n_m: grab.stiffness_n_m,
+        damping_n_s_m: grab.damping_n_s_m,
+    };
+    Ok((request.grabs.into_iter().map(grab).collect(), request.release))
 }
 
 /// The published state as bytes.
@@ -89,9 +141,15 @@ mod tests {
             dt_s: 0.02,
             gravity_m_s2: [1.0, 2.0, 3.0],
             publish_hz: 25.0,
-            ..Default::default()
+            integrator: wire::IntegratorConfig::BackwardEuler,
+            obstacles: vec![
+                wire::Obstacle::Plane { point_m: [0.0; 3], normal: [0.0, 1.0, 0.0] },
+                wire::Obstacle::Sphere { center_m: [1.0, 2.0, 3.0], radius_m: 0.5 },
+                wire::Obstacle::Capsule { from_m: [0.0; 3], to_m: [1.0; 3], radius_m: 0.1 },
+            ],
+            contact: wire::ContactConfig { stiffness_pa_m: Some(1e7), ..Default::default() },
         };
-        assert_eq!(wire_config(&config(given).unwrap()), given);
+        assert_eq!(wire_config(&config(given.clone()).unwrap()), given);
     }
 
     #[test]

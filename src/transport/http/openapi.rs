@@ -269,6 +269,16 @@ const ROUTES: &[Route] = &[
         problems: &[Kind::NoSimulation, Kind::ImpossibleValue],
     },
     Route {
+        method: HttpMethod::Post,
+        path: "/v1/sessions/{id}/simulation/grabs",
+        summary: "Take hold of vertices, move what holds on, and let go",
+        query: &[],
+        request: Body::Json("GrabRequest"),
+        status: 204,
+        reply: Body::Empty,
+        problems: &[Kind::NoSimulation, Kind::ImpossibleValue, Kind::Full],
+    },
+    Route {
         method: HttpMethod::Get,
         path: "/v1/sessions/{id}/stream",
         summary: "Receive published states: one binary WebSocket message each",

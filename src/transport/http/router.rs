@@ -55,6 +55,7 @@ fn api() -> Vec<(&'static str, MethodRouter<Gateway>)> {
             get(simulation::get).put(simulation::put).delete(simulation::delete),
         ),
         ("/v1/sessions/{id}/simulation/forces", post(simulation::push_forces)),
+        ("/v1/sessions/{id}/simulation/grabs", post(simulation::grab)),
         ("/v1/sessions/{id}/stream", get(stream::stream)),
     ]
 }

@@ -8,7 +8,7 @@ use crate::problem::Problem;
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
-use sutura_proto::simulation::{ForceRequest, SimulationConfig, SimulationInfo};
+use sutura_proto::simulation::{ForceRequest, GrabRequest, SimulationConfig, SimulationInfo};
 
 /// PUT /v1/sessions/{id}/simulation
 pub(super) async fn put(
@@ -16,7 +16,7 @@ pub(super) async fn put(
     InSession(id): InSession,
     Document(config): Document<SimulationConfig>,
 ) -> Result<Json<SimulationInfo>, Problem> {
-    let info = gateway.store().put_simulation(id, simulation::config(config)?)?;
+    let info = gateway.store().put_simulation(id, simulation::config(config)?).await?;
     simulation::info(&info).map(Json)
 }
 
@@ -44,5 +44,15 @@ pub(super) async fn push_forces(
     Document(request): Document<ForceRequest>,
 ) -> Result<StatusCode, Problem> {
     command::push_forces(&gateway, id, request)?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// POST /v1/sessions/{id}/simulation/grabs
+pub(super) async fn grab(
+    State(gateway): State<Gateway>,
+    InSession(id): InSession,
+    Document(request): Document<GrabRequest>,
+) -> Result<StatusCode, Problem> {
+    command::grab(&gateway, id, request)?;
     Ok(StatusCode::NO_CONTENT)
 }
