@@ -2648,6 +2648,127 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/sessions/{id}/simulation/grabs": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /** Take hold of vertices, move what holds on, and let go */
+        post: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    id: string;
+                };
+                cookie?: never;
+            };
+            requestBody: {
+                content: {
+                    "application/json": components["schemas"]["GrabRequest"];
+                };
+            };
+            responses: {
+                /** @description Done */
+                204: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content?: never;
+                };
+                /** @description Malformed document */
+                400: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No simulation; No such session */
+                404: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description The request took too long to arrive */
+                408: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Too large */
+                413: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Unsupported media type */
+                415: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Impossible value */
+                422: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description As many as allowed exist */
+                429: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Too busy */
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/sessions/{id}/stream": {
         parameters: {
             query?: never;
@@ -2780,6 +2901,35 @@ export interface components {
              * @description Imbalance of the forces at the end, relative to those that pulled.
              */
             residual: number;
+        };
+        /** @description How obstacles push back at the vertices of the surface. */
+        ContactConfig: {
+            /**
+             * Format: double
+             * @description Speed in m/s below which friction grows with the speed: what sticks creeps. Default: a hundredth
+             *     of the body's size a second.
+             * @default null
+             */
+            creep_m_s?: number | null;
+            /**
+             * Format: double
+             * @description At 1 m/s into the obstacle the pressure grows by this fraction. Default: 1.
+             * @default 1
+             */
+            damping_s_m?: number;
+            /**
+             * Format: double
+             * @description Coulomb's coefficient of friction. Default: 0.3.
+             * @default 0.3
+             */
+            friction?: number;
+            /**
+             * Format: double
+             * @description Pressure for each metre of depth, in Pa/m. Default: the stiffest Young's modulus over a tenth of the
+             *     body's size.
+             * @default null
+             */
+            stiffness_pa_m?: number | null;
         };
         /** @description One vector of reduced coordinates, or several. */
         Coordinates: number[] | number[][];
@@ -3148,6 +3298,45 @@ export interface components {
             /** @description Stitches in force. */
             n_stitches: number;
         };
+        /** @description A damped spring from a vertex to a point in the world: a hand, or a surgical tool. */
+        Grab: {
+            /**
+             * Format: double
+             * @description Damping in N·s/m. Default: 0.
+             */
+            damping_n_s_m?: number;
+            /**
+             * Format: int64
+             * @description The grab's name, for the caller to choose.
+             */
+            id: number;
+            /**
+             * Format: double
+             * @description Stiffness in N/m.
+             */
+            stiffness_n_m: number;
+            /** @description Where it is pulled to, in m. */
+            target_m: number[];
+            /**
+             * Format: int32
+             * @description The vertex (zero-based).
+             */
+            vertex: number;
+        };
+        /** @description Vertices to be held on to, and grabs to be let go. */
+        GrabRequest: {
+            /**
+             * @description Grabs that take hold; one of the name of an earlier one takes its place, so that a tool is moved by
+             *     sending its grab again.
+             * @default []
+             */
+            grabs?: components["schemas"]["Grab"][];
+            /**
+             * @description Names of grabs that let go; those that are not there are passed over.
+             * @default []
+             */
+            release?: number[];
+        };
         /**
          * @description How the reduced equations of motion are integrated.
          * @enum {string}
@@ -3196,6 +3385,40 @@ export interface components {
             tets: number[][];
             /** @description Rest positions in metres. */
             vertices: number[][];
+        };
+        /** @description Something rigid that the body cannot enter, at rest in the world until a simulation is changed. */
+        Obstacle: {
+            /** @description Everything on the far side of a plane. */
+            plane: {
+                /** @description The side on which the body may be; any length but zero. */
+                normal: number[];
+                /** @description A point of the plane, in m. */
+                point_m: number[];
+            };
+        } | {
+            /** @description A ball. */
+            sphere: {
+                /** @description Its centre, in m. */
+                center_m: number[];
+                /**
+                 * Format: double
+                 * @description Its radius, in m.
+                 */
+                radius_m: number;
+            };
+        } | {
+            /** @description All points within a radius of a line segment. */
+            capsule: {
+                /** @description One end of the segment, in m. */
+                from_m: number[];
+                /**
+                 * Format: double
+                 * @description Its radius, in m.
+                 */
+                radius_m: number;
+                /** @description The other end, in m. */
+                to_m: number[];
+            };
         };
         /** @description An RFC 9457 problem document (`application/problem+json`). */
         Problem: {
@@ -3350,6 +3573,14 @@ export interface components {
         /** @description How a session is simulated. */
         SimulationConfig: {
             /**
+             * @description How obstacles push back.
+             * @default {
+             *       "damping_s_m": 1,
+             *       "friction": 0.3
+             *     }
+             */
+            contact?: components["schemas"]["ContactConfig"];
+            /**
              * Format: double
              * @description Time step in s. Default: 0.01.
              * @default 0.01
@@ -3370,6 +3601,11 @@ export interface components {
              */
             integrator?: components["schemas"]["IntegratorConfig"];
             /**
+             * @description What the body cannot enter. Default: nothing.
+             * @default []
+             */
+            obstacles?: components["schemas"]["Obstacle"][];
+            /**
              * Format: double
              * @description States published per second. Default: 60.
              * @default 60
@@ -3385,8 +3621,12 @@ export interface components {
              * @description The generation it steps.
              */
             generation: number;
+            /** @description The sum of what grabs and obstacles pull with, in N. */
+            interaction_force_n: number[];
             /** @description Forces acting now. */
             n_forces: number;
+            /** @description Grabs that hold on. */
+            n_grabs: number;
             /**
              * Format: int64
              * @description Steps that could not be taken in time: simulated time fell behind by so many `dt_s`.
