@@ -27,6 +27,7 @@ mod gateway;
 pub mod http;
 mod limits;
 mod metrics;
+mod offline;
 mod problem;
 #[cfg(test)]
 mod tests;
@@ -34,3 +35,4 @@ mod tests;
 pub use gateway::Gateway;
 pub use limits::Limits;
 pub use metrics::install_recorder;
+pub use offline::read_request;

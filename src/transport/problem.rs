@@ -3,7 +3,7 @@
 
 use sutura_core::build::BuildError;
 use sutura_core::edit::{EditError, EditKind};
-use sutura_core::mesh::{MeshError, ReadError, ReadFault};
+use sutura_core::mesh::{MeshError, ReadError, ReadFault, SourceError};
 use sutura_core::reduced::SimulationError;
 use sutura_proto::Invalid;
 use sutura_store::{InputError, StoreError};
@@ -282,6 +282,17 @@ impl From<ReadError> for Problem {
             | ReadFault::OverLimit { .. } => Kind::TooLarge,
             ReadFault::Mesh { .. } | ReadFault::Material { .. } => Kind::ImpossibleMesh,
             _ => Kind::MalformedMesh,
+        };
+        Problem::new(kind, error.to_string()).at("/mesh")
+    }
+}
+
+impl From<SourceError> for Problem {
+    fn from(error: SourceError) -> Problem {
+        let kind = match error {
+            SourceError::Read(error) => return error.into(),
+            SourceError::Unknown => Kind::UnsupportedMediaType,
+            SourceError::HalfTetGen | SourceError::TooManyFiles => Kind::MalformedDocument,
         };
         Problem::new(kind, error.to_string()).at("/mesh")
     }

@@ -25,11 +25,18 @@ pub(super) struct Cursor<'a> {
     bytes: &'a [u8],
     position: usize,
     pub(super) encoding: Encoding,
+    /// Which of several files this is.
+    part: Option<&'static str>,
 }
 
 impl<'a> Cursor<'a> {
     pub(super) fn new(bytes: &'a [u8]) -> Cursor<'a> {
-        Cursor { bytes, position: 0, encoding: Encoding::Text }
+        Cursor { bytes, position: 0, encoding: Encoding::Text, part: None }
+    }
+
+    /// At the start of one of a mesh's text files, which errors call `part`.
+    pub(super) fn part(bytes: &'a [u8], part: &'static str) -> Cursor<'a> {
+        Cursor { part: Some(part), ..Cursor::new(bytes) }
     }
 
     pub(super) fn position(&self) -> usize {
@@ -47,9 +54,14 @@ impl<'a> Cursor<'a> {
     /// What `position` is to a reader of the file.
     pub(super) fn location(&self, position: usize) -> Location {
         match self.encoding {
-            Encoding::Text => Location::Line(
-                1 + self.bytes[..position].iter().filter(|&&byte| byte == b'\n').count(),
-            ),
+            Encoding::Text => {
+                let before = &self.bytes[..position.min(self.bytes.len())];
+                let line = 1 + before.iter().filter(|&&byte| byte == b'\n').count();
+                match self.part {
+                    Some(part) => Location::PartLine(part, line),
+                    None => Location::Line(line),
+                }
+            }
             Encoding::Binary { .. } => Location::Byte(position),
         }
     }
@@ -168,6 +180,18 @@ impl<'a> Cursor<'a> {
             Encoding::Text => self.token(expected),
             Encoding::Binary { .. } => Ok(f64::from_le_bytes(self.word(expected)?)),
         }
+    }
+
+    /// The next integer of a text, on whatever line.
+    pub(super) fn free_int(&mut self, expected: &str) -> Result<i64, ReadError> {
+        self.skip_whitespace();
+        self.token(expected)
+    }
+
+    /// The next number of a text, on whatever line.
+    pub(super) fn free_real(&mut self, expected: &str) -> Result<f64, ReadError> {
+        self.skip_whitespace();
+        self.token(expected)
     }
 
     pub(super) fn point(&mut self) -> Result<[f64; 3], ReadError> {

@@ -1,12 +1,18 @@
-//! Tetrahedral meshes: the validated [`TetMesh`], and [`read`] for the files they come in.
+//! Tetrahedral meshes: the validated [`TetMesh`], and [`read_files`] for the files they come in.
 
 mod cursor;
 mod gmsh;
+mod line;
 mod reader;
 mod surface;
+mod tetgen;
 mod vega;
+mod vtk;
 
-pub use reader::{Location, MeshFile, MeshFormat, MeshLimits, ReadError, ReadFault, read};
+pub use reader::{
+    Location, MeshFile, MeshFormat, MeshLimits, NamedFile, ReadError, ReadFault, SourceError, read,
+    read_files,
+};
 
 use std::collections::BTreeSet;
 

@@ -12,6 +12,7 @@
 //! only material, if it has one. `#` starts a comment; numbers may be parted by commas.
 
 use super::cursor::{Cursor, quote};
+use super::line::{self, Line};
 use super::reader::{MeshFile, MeshLimits, ReadError, ReadFault, validate};
 use crate::material::Material;
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -21,12 +22,6 @@ const ALL_ELEMENTS: &str = "allElements";
 
 /// The shortest vertex or element, line end included: `1 0 0 0`.
 const MIN_RECORD: u64 = 8;
-
-/// One line that says something, split at blanks and commas.
-struct Line<'a> {
-    at: usize,
-    fields: Vec<&'a str>,
-}
 
 #[derive(Default)]
 struct Parser {
@@ -70,74 +65,22 @@ pub(super) fn read(bytes: &[u8], limits: &MeshLimits) -> Result<MeshFile, ReadEr
     parser.into_file(&cursor)
 }
 
-/// The next line that holds more than blanks and a comment.
+/// The next line that says something; includes are refused.
 fn next_line<'a>(cursor: &mut Cursor<'a>) -> Result<Option<Line<'a>>, ReadError> {
-    loop {
-        cursor.skip_whitespace();
-        let at = cursor.position();
-        if cursor.remaining().is_empty() {
-            return Ok(None);
-        }
-        let bytes = cursor.line();
-        let bytes = bytes.split(|&byte| byte == b'#').next().unwrap_or(bytes);
-        let text = std::str::from_utf8(bytes).map_err(|_| cursor.unexpected(at, "text"))?;
-        let fields: Vec<&str> =
-            text.split([' ', '\t', ',']).filter(|field| !field.is_empty()).collect();
-        if fields.first().is_some_and(|field| field.eq_ignore_ascii_case("*INCLUDE")) {
-            let message = "*INCLUDE is not supported: put the included lines into this file";
-            return Err(cursor.error(at, ReadFault::Unsupported(message.into())));
-        }
-        if !fields.is_empty() {
-            return Ok(Some(Line { at, fields }));
-        }
+    let line = line::next(cursor)?;
+    if let Some(line) = &line
+        && line.fields[0].eq_ignore_ascii_case("*INCLUDE")
+    {
+        let message = "*INCLUDE is not supported: put the included lines into this file";
+        return Err(cursor.error(line.at, ReadFault::Unsupported(message.into())));
     }
+    Ok(line)
 }
 
 /// The next line, which has to be there.
 fn required_line<'a>(cursor: &mut Cursor<'a>, expected: &str) -> Result<Line<'a>, ReadError> {
     let line = next_line(cursor)?;
     line.ok_or_else(|| cursor.unexpected(cursor.position(), expected))
-}
-
-impl Line<'_> {
-    fn number<T: std::str::FromStr>(
-        &self,
-        cursor: &Cursor<'_>,
-        field: usize,
-        expected: &str,
-    ) -> Result<T, ReadError> {
-        let text = self.fields.get(field);
-        text.and_then(|text| text.parse().ok()).ok_or_else(|| {
-            let found = match text {
-                Some(text) => format!("“{}”", quote(text.as_bytes())),
-                None => "the end of the line".to_owned(),
-            };
-            let expected = expected.to_owned();
-            cursor.error(self.at, ReadFault::Unexpected { expected, found })
-        })
-    }
-
-    /// Checks that the line's own number follows the previous one; the first sets the base.
-    fn check_number(
-        &self,
-        cursor: &Cursor<'_>,
-        what: &str,
-        position: u64,
-        first: &mut u64,
-    ) -> Result<(), ReadError> {
-        let number: u64 = self.number(cursor, 0, what)?;
-        if position == 0 && number <= 1 {
-            *first = number;
-        }
-        if number != *first + position {
-            let message = match position {
-                0 => format!("{what} of the first one is {number}, neither 0 nor 1"),
-                _ => format!("{what} is {number} where {} should come", *first + position),
-            };
-            return Err(cursor.error(self.at, ReadFault::Inconsistent(message)));
-        }
-        Ok(())
-    }
 }
 
 impl Parser {

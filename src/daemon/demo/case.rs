@@ -5,7 +5,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 use sutura_client::proto::session::{MaterialConfig, SessionConfig};
-use sutura_core::mesh::{MeshFormat, MeshLimits, TetMesh, read};
+use sutura_core::mesh::{MeshLimits, NamedFile, TetMesh, read_files};
 
 /// The bundled body: a stomach with an incision. Source and licence stand in the file beside it.
 const BUNDLED_MESH: &[u8] = include_bytes!("../../../tests/data/stomach_small.msh");
@@ -124,11 +124,7 @@ fn read_file(path: &Path) -> Result<Vec<u8>, DemoError> {
 }
 
 fn parse(name: &str, bytes: &[u8]) -> Result<TetMesh, DemoError> {
-    let format = MeshFormat::from_file_name(name).or_else(|| MeshFormat::sniff(bytes));
-    let format = format.ok_or_else(|| {
-        DemoError::Input(format!("{name}: neither a Gmsh (.msh) nor a Vega (.veg) mesh"))
-    })?;
-    let file = read(bytes, format, &LIMITS);
+    let file = read_files(&[NamedFile { name: Some(name), bytes }], &LIMITS);
     Ok(file.map_err(|error| DemoError::Input(format!("{name}: {error}")))?.mesh)
 }
 

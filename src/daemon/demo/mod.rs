@@ -46,7 +46,7 @@ const MAX_JUMP: f64 = 0.01;
 /// Options of `sutura demo`.
 #[derive(Debug, Args)]
 pub(crate) struct DemoArgs {
-    /// Mesh file (Gmsh .msh or Vega .veg) to use instead of the bundled stomach.
+    /// Mesh file (Gmsh .msh, VTK .vtk or .vtu, Vega .veg) to use instead of the bundled stomach.
     #[arg(long, value_name = "FILE", requires_all = ["config", "stitches"])]
     mesh: Option<PathBuf>,
     /// How to prepare it: the JSON body of `POST /v1/sessions`, without `mesh`.

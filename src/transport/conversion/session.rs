@@ -10,7 +10,7 @@ use std::sync::Arc;
 use sutura_core::build::{BuildParams, CubatureParams, MassKind, RayleighDamping, Selection};
 use sutura_core::edit::{EditState, STIFFNESS_FACTOR_RANGE};
 use sutura_core::material::{Law, Material};
-use sutura_core::mesh::{MeshFile, MeshFormat, MeshLimits, TetMesh};
+use sutura_core::mesh::{MeshFile, MeshLimits, NamedFile, TetMesh, read_files};
 use sutura_proto::session::{
     self as wire, BasisConfig, CubatureConfig, DampingConfig, MassConfig, MaterialConfig,
     MaterialLaw, MeshConfig, SessionConfig,
@@ -22,8 +22,8 @@ use sutura_store::{CreateSession, SessionInfo, SessionState};
 pub(crate) struct Upload {
     /// The configuration, as JSON.
     pub(crate) config: Bytes,
-    /// The mesh file, unless the configuration holds the mesh.
-    pub(crate) file: Option<UploadedFile>,
+    /// The mesh's file, or the two of TetGen's format; none if the configuration holds the mesh.
+    pub(crate) files: Vec<UploadedFile>,
 }
 
 /// An uploaded mesh file.
@@ -40,14 +40,14 @@ const UNNAMED: &str = "unnamed";
 pub(crate) fn create(upload: Upload, limits: &MeshLimits) -> Result<CreateSession, Problem> {
     let mut config: SessionConfig = parse_json(&upload.config)?;
     config.validate()?;
-    let MeshFile { mesh, materials } = match (config.mesh.take(), upload.file) {
-        (Some(mesh), None) => inline_mesh(mesh, limits)?,
-        (None, Some(file)) => read_file(&file, limits)?,
-        (Some(_), Some(_)) => {
+    let MeshFile { mesh, materials } = match (config.mesh.take(), &upload.files[..]) {
+        (Some(mesh), []) => inline_mesh(mesh, limits)?,
+        (None, files @ [_, ..]) => read(files, limits)?,
+        (Some(_), [_, ..]) => {
             let detail = "the mesh is given twice, inline and as a file";
             return Err(Problem::new(Kind::MalformedDocument, detail).at("/mesh"));
         }
-        (None, None) => {
+        (None, []) => {
             let detail = "there is no mesh: give \"mesh\" inline, or a file as multipart/form-data";
             return Err(Problem::new(Kind::MalformedDocument, detail).at("/mesh"));
         }
@@ -74,14 +74,12 @@ fn inline_mesh(mesh: MeshConfig, limits: &MeshLimits) -> Result<MeshFile, Proble
     Ok(MeshFile { mesh, materials: BTreeMap::new() })
 }
 
-/// The file's name decides its format; without a telling name, its first bytes do.
-fn read_file(file: &UploadedFile, limits: &MeshLimits) -> Result<MeshFile, Problem> {
-    let named = file.name.as_deref().and_then(MeshFormat::from_file_name);
-    let format = named.or_else(|| MeshFormat::sniff(&file.bytes)).ok_or_else(|| {
-        let detail = "the mesh is neither a Gmsh .msh nor a Vega .veg file";
-        Problem::new(Kind::UnsupportedMediaType, detail).at("/mesh")
-    })?;
-    Ok(sutura_core::mesh::read(&file.bytes, format, limits)?)
+fn read(files: &[UploadedFile], limits: &MeshLimits) -> Result<MeshFile, Problem> {
+    let files: Vec<NamedFile<'_>> = files
+        .iter()
+        .map(|UploadedFile { name, bytes }| NamedFile { name: name.as_deref(), bytes })
+        .collect();
+    Ok(read_files(&files, limits)?)
 }
 
 /// Resolves the configuration against the mesh. Materials that a mesh file carries serve the
@@ -313,7 +311,8 @@ mod tests {
         config: &serde_json::Value,
         file: Option<UploadedFile>,
     ) -> Result<CreateSession, Problem> {
-        create(Upload { config: config.to_string().into(), file }, &LIMITS)
+        let files = file.into_iter().collect();
+        create(Upload { config: config.to_string().into(), files }, &LIMITS)
     }
 
     #[test]

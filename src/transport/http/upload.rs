@@ -1,4 +1,4 @@
-//! Receiving a session's configuration and mesh: one JSON document, or multipart with a file.
+//! Receiving a session's configuration and mesh: one JSON document, or multipart with files.
 
 use super::extract::{gather, in_time, media_type, receive};
 use crate::conversion::session::{Upload, UploadedFile};
@@ -10,13 +10,16 @@ use axum::http::StatusCode;
 use bytes::Bytes;
 use sutura_proto::media;
 
+/// Most files of one mesh: TetGen's are two.
+const MAX_MESH_FILES: usize = 2;
+
 /// The whole upload, within the limits of its kind.
 pub(super) async fn upload(gateway: &Gateway, mut request: Request) -> Result<Upload, Problem> {
     match media_type(request.headers()) {
         Some(media::JSON) => {
             let limit = gateway.limits().max_inline_mesh_bytes;
             let config = receive(gateway, request.into_body(), limit).await?;
-            Ok(Upload { config, file: None })
+            Ok(Upload { config, files: Vec::new() })
         }
         Some("multipart/form-data") => {
             // Each part has its own limit; this one only bounds what surrounds them.
@@ -38,24 +41,28 @@ pub(super) async fn upload(gateway: &Gateway, mut request: Request) -> Result<Up
 
 async fn multipart(gateway: &Gateway, mut parts: Multipart) -> Result<Upload, Problem> {
     let limits = gateway.limits();
-    let (mut config, mut file) = (None, None);
+    let (mut config, mut files) = (None, Vec::new());
     while let Some(field) = parts.next_field().await.map_err(malformed)? {
         let name = field.name().unwrap_or_default().to_owned();
         match name.as_str() {
             "config" if config.is_none() => {
                 config = Some(part(field, "/config", limits.max_document_bytes).await?);
             }
-            "mesh" if file.is_none() => {
+            "mesh" if files.len() < MAX_MESH_FILES => {
                 let name = field.file_name().map(str::to_owned);
                 let bytes = part(field, "/mesh", limits.max_mesh_bytes).await?;
-                file = Some(UploadedFile { name, bytes });
+                files.push(UploadedFile { name, bytes });
             }
-            "config" | "mesh" => return Err(parts_fault(format!("two parts are named {name}"))),
+            "config" => return Err(parts_fault("two parts are named config".to_owned())),
+            "mesh" => {
+                let detail = format!("more than {MAX_MESH_FILES} parts are named mesh");
+                return Err(parts_fault(detail));
+            }
             _ => return Err(parts_fault("only the parts mesh and config belong here".to_owned())),
         }
     }
     let config = config.ok_or_else(|| parts_fault("the part config is missing".to_owned()))?;
-    Ok(Upload { config, file })
+    Ok(Upload { config, files })
 }
 
 async fn part(field: Field<'_>, pointer: &str, limit: usize) -> Result<Bytes, Problem> {
