@@ -1,10 +1,15 @@
 //! The command line. Flags override environment variables, which override the file.
 
+use crate::client::export::ExportArgs;
 use crate::client::{InfoArgs, StitchArgs, WatchArgs};
 use crate::config::{Config, ConfigError, LogFormat, ZenohEndpoint};
 use crate::demo::{DemoArgs, SUBSCRIBER_COMMAND, SubscriberArgs};
+use crate::doctor::DoctorArgs;
+use crate::prepare::PrepareArgs;
 use clap::builder::FalseyValueParser;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
+use clap_complete::Shell;
+use std::io::Write;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
@@ -28,8 +33,23 @@ pub(crate) enum Command {
     Stitch(StitchArgs),
     /// Follow what happens to a session of a running daemon.
     Watch(WatchArgs),
+    /// Write a session of a running daemon, and its motion, for other tools.
+    Export(ExportArgs),
+    /// Build a body without a daemon, and write it for other tools.
+    ///
+    /// The mesh and the configuration are those that `POST /v1/sessions` takes; modes and basis are
+    /// written as .npy for NumPy, .vtu for ParaView, .glb for viewers of glTF, .U and .Ulin for Vega, and as
+    /// pictures.
+    Prepare(PrepareArgs),
     /// Show the main job on a bundled stomach, or on your own mesh, and leave a report and pictures.
     Demo(DemoArgs),
+    /// Check whether this machine can run a daemon as configured: cores, memory, ports.
+    Doctor(DoctorArgs),
+    /// Print completions for a shell: `source <(sutura completions bash)`.
+    Completions {
+        /// The shell.
+        shell: Shell,
+    },
     /// Watch a simulation for `demo`.
     #[command(name = SUBSCRIBER_COMMAND, hide = true)]
     DemoSubscriber(SubscriberArgs),
@@ -77,6 +97,14 @@ impl ServeArgs {
         }
         Ok(config)
     }
+}
+
+/// Prints the completions of every command for `shell`.
+pub(crate) fn print_completions(shell: Shell) -> std::io::Result<()> {
+    let mut command = CommandLine::command();
+    let mut text = Vec::new();
+    clap_complete::generate(shell, &mut command, "sutura", &mut text);
+    std::io::stdout().write_all(&text)
 }
 
 #[cfg(test)]

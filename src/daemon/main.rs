@@ -5,7 +5,11 @@ mod command_line;
 mod config;
 mod daemon;
 mod demo;
+mod doctor;
+mod export;
 mod logging;
+mod picture;
+mod prepare;
 mod signals;
 
 use clap::Parser;
@@ -34,7 +38,13 @@ fn main() -> ExitCode {
         Command::Info(args) => block_on(async { Ok(client::info(args).await?) }),
         Command::Stitch(args) => block_on(async { Ok(client::stitch(args).await?) }),
         Command::Watch(args) => block_on(async { Ok(client::watch(args).await?) }),
+        Command::Export(args) => block_on(async { Ok(client::export::run(args).await?) }),
+        Command::Prepare(args) => prepare::run(&args).map_err(Failure::from),
         Command::Demo(args) => block_on(demonstrate(args)),
+        Command::Doctor(args) => block_on(async { Ok(doctor::run(&args).await?) }),
+        Command::Completions { shell } => {
+            command_line::print_completions(shell).map_err(Failure::from)
+        }
         Command::DemoSubscriber(args) => block_on(watch(args)),
     };
     match result {
@@ -109,6 +119,12 @@ enum Failure {
     #[error(transparent)]
     Client(#[from] client::ClientError),
     #[error(transparent)]
+    Export(#[from] client::export::ExportCommandError),
+    #[error(transparent)]
+    Prepare(#[from] prepare::PrepareError),
+    #[error(transparent)]
+    Doctor(#[from] doctor::DoctorError),
+    #[error(transparent)]
     Demo(#[from] DemoError),
     #[error("{0} again: stopped without waiting for work under way")]
     Impatient(&'static str),
@@ -119,11 +135,17 @@ impl Failure {
         match self {
             Failure::Config(_) | Failure::LogFilter(_) => BAD_INPUT,
             Failure::Client(error) if error.is_bad_input() => BAD_INPUT,
+            Failure::Export(error) if error.is_bad_input() => BAD_INPUT,
+            Failure::Prepare(error) if error.is_bad_input() => BAD_INPUT,
+            Failure::Doctor(doctor::DoctorError::Config(_)) => BAD_INPUT,
             Failure::Demo(error) if error.is_bad_input() => BAD_INPUT,
             Failure::Start(_)
             | Failure::Metrics(_)
             | Failure::System(_)
             | Failure::Client(_)
+            | Failure::Export(_)
+            | Failure::Prepare(_)
+            | Failure::Doctor(_)
             | Failure::Demo(_)
             | Failure::Impatient(_) => FAILED,
         }

@@ -133,8 +133,7 @@ class Dictionary:
         for start in range(0, shape[1], _CHUNK):
             chunk = slice(start, start + _CHUNK)
             sums = sum(
-                rows.T.astype(np.float64) @ columns[:, chunk].astype(np.float64)
-                for columns, rows in parts
+                rows.T.astype(np.float64) @ columns[:, chunk].astype(np.float64) for columns, rows in parts
             )
             result[:, chunk] = sums
         return result.reshape(combination.size, -1, 3)
@@ -251,9 +250,7 @@ class Arrays(ABC):
         ids = _long(frame.take("ids", len(pairs), 2))
         return Stitches(pairs, ids, frame.take("stiffness_n_m", len(pairs)))
 
-    def transfer(
-        self, generation: Generation = "current", *, start: int, dtype: DType = "f32"
-    ) -> FloatArray:
+    def transfer(self, generation: Generation = "current", *, start: int, dtype: DType = "f32") -> FloatArray:
         """(r, r of ``start``): q of ``generation`` = transfer @ q of generation ``start``."""
         parameters = {"from": str(start), "dtype": dtype}
         return self.frame("transfer", generation, **parameters).take("transfer", None, None)
@@ -268,9 +265,7 @@ class Arrays(ABC):
         """The basis as a combination of named columns that generations share."""
         return Combination.decode(self.frame("combination", generation, dtype=dtype))
 
-    def block(
-        self, block: Block, generation: Generation = "current", dtype: DType = "f32"
-    ) -> FloatArray:
+    def block(self, block: Block, generation: Generation = "current", dtype: DType = "f32") -> FloatArray:
         """The columns of a block of a generation's combination: (k, n_vertices, 3)."""
         frame = self.frame("dictionary", generation, blocks=str(block.id), dtype=dtype)
         return frame.take("dictionary", block.n_columns, None, 3)

@@ -90,9 +90,7 @@ class Mesh:
     def to_msh(self) -> bytes | None:
         """The mesh as a binary Gmsh 2.2 file; None if a label needs more than 32 bits."""
         limits = np.iinfo(np.int32)
-        if self.domains.size and not (
-            limits.min <= self.domains.min() and self.domains.max() <= limits.max
-        ):
+        if self.domains.size and not (limits.min <= self.domains.min() and self.domains.max() <= limits.max):
             return None
         nodes = np.empty(len(self.vertices), [("tag", "<i4"), ("x", "<f8", 3)])
         nodes["tag"] = np.arange(1, len(nodes) + 1)

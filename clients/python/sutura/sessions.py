@@ -97,9 +97,7 @@ class AnySession(Arrays):
         """Remove stitches by their names, or all; options as for ``edit``."""
         return self.edit(edits.unstitch(stitch_ids), **options)
 
-    def set_stiffness(
-        self, stitch_ids: Iterable[int], stiffness_n_m: float, **options: Any
-    ) -> EditReply:
+    def set_stiffness(self, stitch_ids: Iterable[int], stiffness_n_m: float, **options: Any) -> EditReply:
         """Give stitches another stiffness; options as for ``edit``."""
         return self.edit(edits.set_stiffness(stitch_ids, stiffness_n_m), **options)
 

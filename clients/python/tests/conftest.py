@@ -19,17 +19,16 @@ from sutura.bus import ZenohClient
 
 ROOT = Path(__file__).parents[3]
 PATIENCE_S = 60.0
+PROGRAM = os.environ.get("SUTURA_EXECUTABLE", str(ROOT / "target/debug/sutura"))
 
 
 class Daemon:
     """A process of its own on free ports."""
 
     def __init__(self, folder: Path) -> None:
-        default = ROOT / "target/debug/sutura"
-        program = os.environ.get("SUTURA_EXECUTABLE", str(default))
         addresses = ["--http", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0"]
         self._process = subprocess.Popen(
-            [program, "serve", *addresses, "--log", "warn"],
+            [PROGRAM, "serve", *addresses, "--log", "warn"],
             cwd=folder,
             stdout=subprocess.PIPE,
             text=True,

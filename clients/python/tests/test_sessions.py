@@ -89,9 +89,7 @@ def test_forks_go_their_own_way(client: sutura.Client, session: sutura.Session) 
     fork.delete()
 
 
-def test_the_network_knows_daemons_and_sessions(
-    zenoh_client: ZenohClient, session: sutura.Session
-) -> None:
+def test_the_network_knows_daemons_and_sessions(zenoh_client: ZenohClient, session: sutura.Session) -> None:
     assert len(zenoh_client.daemons()) == 1
     found = {info.id: info for info in zenoh_client.sessions()}
     assert found[session.id].raw == zenoh_client.session(session.id).info().raw

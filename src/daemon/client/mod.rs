@@ -1,5 +1,7 @@
-//! `sutura info`, `stitch` and `watch`: a running daemon, asked from the command line. Each is a
+//! `sutura info`, `stitch`, `watch` and `export`: a running daemon, asked from the command line. Each is a
 //! thin client of HTTP; `--json` prints the daemon's own documents.
+
+pub(crate) mod export;
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;

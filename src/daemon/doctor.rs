@@ -1,0 +1,195 @@
+//! `sutura doctor`: whether this machine can run a daemon as configured, and what it has.
+
+use crate::config::{Config, ConfigError};
+use clap::Args;
+use serde::Serialize;
+use std::io::{IsTerminal, Write};
+use std::net::{SocketAddr, TcpListener};
+use std::path::PathBuf;
+use std::time::Duration;
+use sutura_client::Client;
+
+/// Options of `sutura doctor`.
+#[derive(Debug, Args)]
+pub(crate) struct DoctorArgs {
+    /// The daemon's configuration file; without one, the defaults are checked.
+    #[arg(long, env = "SUTURA_CONFIG", value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Memory below which large bodies cannot be prepared, in bytes.
+const LITTLE_MEMORY: u64 = 4 << 30;
+
+/// How long a daemon may take to say that it is there.
+const DAEMON_PATIENCE: Duration = Duration::from_secs(2);
+
+/// How a check went.
+#[derive(Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Outcome {
+    Ok,
+    Warning,
+    Failed,
+}
+
+/// One thing that was checked.
+#[derive(Serialize)]
+struct Check {
+    name: &'static str,
+    outcome: Outcome,
+    /// What was found.
+    found: String,
+    /// What to do about it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    advice: Option<String>,
+}
+
+impl Check {
+    fn ok(name: &'static str, found: impl Into<String>) -> Check {
+        Check { name, outcome: Outcome::Ok, found: found.into(), advice: None }
+    }
+
+    fn not_ok(
+        name: &'static str,
+        outcome: Outcome,
+        found: impl Into<String>,
+        advice: impl Into<String>,
+    ) -> Check {
+        Check { name, outcome, found: found.into(), advice: Some(advice.into()) }
+    }
+}
+
+/// Why the checks did not pass.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum DoctorError {
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    #[error("standard output: {0}")]
+    Output(#[from] std::io::Error),
+    #[error("{0} of the checks failed")]
+    Failed(usize),
+}
+
+/// Checks and prints.
+pub(crate) async fn run(args: &DoctorArgs) -> Result<(), DoctorError> {
+    let config = match &args.config {
+        Some(path) => Config::read(path)?,
+        None => Config::default(),
+    };
+    let mut checks = vec![
+        Check::ok(
+            "version",
+            format!(
+                "sutura {} on {} {}",
+                env!("CARGO_PKG_VERSION"),
+                std::env::consts::OS,
+                std::env::consts::ARCH
+            ),
+        ),
+        cores(&config),
+        memory(),
+    ];
+    let is_served = daemon(&config, &mut checks).await;
+    checks.push(port("http", config.http.listen, is_served));
+    checks.push(port("zenoh", config.zenoh.listen.0, is_served));
+    print(&checks, args.json)?;
+    match checks.iter().filter(|check| check.outcome == Outcome::Failed).count() {
+        0 => Ok(()),
+        n => Err(DoctorError::Failed(n)),
+    }
+}
+
+fn cores(config: &Config) -> Check {
+    let n = std::thread::available_parallelism().map_or(1, usize::from);
+    let work = &config.work;
+    let found = format!(
+        "{n} cores for {} build, {} query and {} stepping threads",
+        work.n_build_threads, work.n_query_threads, work.n_stepping_threads
+    );
+    match n {
+        0..=1 => Check::not_ok(
+            "cores",
+            Outcome::Warning,
+            found,
+            "a build and a simulation share one core: motion will stutter while bodies are prepared",
+        ),
+        _ => Check::ok("cores", found),
+    }
+}
+
+/// What the kernel says is available; only Linux says it.
+fn memory() -> Check {
+    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let available = text.lines().find_map(|line| {
+        let kib: u64 =
+            line.strip_prefix("MemAvailable:")?.split_whitespace().next()?.parse().ok()?;
+        Some(kib << 10)
+    });
+    match available {
+        None => Check::ok("memory", "unknown: the system does not say"),
+        Some(bytes) => {
+            let found = format!("{:.1} GiB available", bytes as f64 / f64::from(1 << 30));
+            if bytes < LITTLE_MEMORY {
+                let advice = "bodies of more than some 50 000 vertices may not fit";
+                Check::not_ok("memory", Outcome::Warning, found, advice)
+            } else {
+                Check::ok("memory", found)
+            }
+        }
+    }
+}
+
+/// Whether a daemon answers where this one would serve.
+async fn daemon(config: &Config, checks: &mut Vec<Check>) -> bool {
+    let url = format!("http://{}", config.http.listen);
+    let answer = tokio::time::timeout(DAEMON_PATIENCE, Client::connect(&url)).await;
+    let is_served = matches!(answer, Ok(Ok(_)));
+    let found = if is_served { format!("one answers at {url}") } else { "none is running".into() };
+    checks.push(Check::ok("daemon", found));
+    is_served
+}
+
+fn port(name: &'static str, address: SocketAddr, is_served: bool) -> Check {
+    match TcpListener::bind(address) {
+        Ok(_) => Check::ok(name, format!("{address} is free")),
+        Err(_) if is_served => {
+            Check::ok(name, format!("{address} is in use, by the daemon that runs"))
+        }
+        Err(error) => Check::not_ok(
+            name,
+            Outcome::Failed,
+            format!("{address}: {error}"),
+            format!("stop what uses it, or serve elsewhere: sutura serve --{name} …"),
+        ),
+    }
+}
+
+fn print(checks: &[Check], json: bool) -> Result<(), DoctorError> {
+    let stdout = std::io::stdout();
+    let is_coloured = stdout.is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    let mut out = stdout.lock();
+    if json {
+        let text = serde_json::to_string_pretty(checks).map_err(std::io::Error::from)?;
+        return Ok(writeln!(out, "{text}")?);
+    }
+    for check in checks {
+        let (word, colour) = match check.outcome {
+            Outcome::Ok => ("ok", 32),
+            Outcome::Warning => ("warning", 33),
+            Outcome::Failed => ("failed", 31),
+        };
+        let word = if is_coloured {
+            format!("\x1b[{colour}m{word:8}\x1b[0m")
+        } else {
+            format!("{word:8}")
+        };
+        writeln!(out, "{word} {:10} {}", check.name, check.found)?;
+        if let Some(advice) = &check.advice {
+            writeln!(out, "{:19} {advice}", "")?;
+        }
+    }
+    Ok(())
+}
