@@ -47,7 +47,7 @@ from .progress import ProgressBars
 from .session import Session
 from .sessions import force
 from .states import StateStream
-from .stepping import Stepper, gravity_load
+from .stepping import Stepper
 from .tracker import Tracker
 
 __all__ = [
@@ -91,7 +91,6 @@ __all__ = [
     "Tracker",
     "edits",
     "force",
-    "gravity_load",
     "material",
     "reconstruct",
 ]

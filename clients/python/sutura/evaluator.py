@@ -1,12 +1,12 @@
 """The reduced model on the client's side: energy, force and stiffness from the evaluator's tables.
 
-Per cubature point, with weight w and rest volume V, the deformation gradient is F = 1 + Σ u_c ⊗ g_c
-over the tet's corners c, whose displacements are u_c = B_c q. For St. Venant–Kirchhoff
+Per cubature point, with weight w and rest volume V, the displacement gradient is D = F − 1 = Σ u_c ⊗ g_c over
+the tet's corners c, whose displacements are u_c = B_c q: D = G q, and G does not depend on q. With the energy
+density Ψ of the point's material law (``sutura.materials``) and P = ∂Ψ/∂F
 
-    E = (FᵀF − 1)/2,  S = λ tr(E) 1 + 2μ E,  P = F S,  Ψ = μ E:E + λ/2 tr(E)²,
+    energy = Σ w V Ψ + qᵀSq/2,  force = Σ w V Gᵀ P + S q,  stiffness = Σ w V Gᵀ (∂P/∂F) G + S,
 
-and stitches add qᵀSq/2. The gradients G = ∂F/∂q do not depend on q, so everything is a few matrix
-products over all points at once.
+S being the stiffness of the stitches: a few matrix products over all points at once.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from .errors import DecodeError, MismatchError
 from .frames import FloatArray, Frame
+from .materials import LAWS, Law
 
 _KNOWN = {
     "tets",
@@ -29,6 +30,10 @@ _KNOWN = {
     "shape_gradients",
     "basis_rows",
     "stitch_stiffness",
+    "laws",
+    "mooney_ratios",
+    "gravity_loads",
+    "damping",
 }
 
 
@@ -63,6 +68,14 @@ class Evaluator:
     """(p, 4, 3, r): basis rows at the four corners."""
     stitch_stiffness: FloatArray
     """(r, r): reduced stiffness of the stitches."""
+    laws: npt.NDArray[np.uint32]
+    """(p,): number of each point's material law, a place in ``sutura.materials.LAWS``."""
+    mooney_ratios: FloatArray
+    """(p,): C₀₁/(C₁₀ + C₀₁), of effect for Mooney–Rivlin alone."""
+    gravity_loads: FloatArray
+    """(r, 3): reduced load of unit gravity along each axis, in kg."""
+    damping: FloatArray
+    """(2,): Rayleigh damping, α in 1/s and β in s."""
 
     @staticmethod
     def decode(frame: Frame) -> Evaluator:
@@ -73,6 +86,9 @@ class Evaluator:
         tets = frame.take("tets", None)
         stitches = frame.take("stitch_stiffness", None, None)
         p, r = len(tets), len(stitches)
+        laws = frame.take("laws", p)
+        if p and laws.max() >= len(LAWS):
+            raise DecodeError(f"the evaluator has material law {laws.max()}, unknown to this client")
         return Evaluator(
             frame.generation,
             tets,
@@ -81,7 +97,11 @@ class Evaluator:
             frame.take("lame_pa", p, 2),
             frame.take("shape_gradients", p, 4, 3),
             frame.take("basis_rows", p, 4, 3, r),
-            frame.take("stitch_stiffness", r, r),
+            stitches,
+            laws,
+            frame.take("mooney_ratios", p),
+            frame.take("gravity_loads", r, 3),
+            frame.take("damping", 2),
         )
 
     @property
@@ -98,67 +118,63 @@ class Evaluator:
         return gradients.reshape(-1, self.size)
 
     @cached_property
-    def _moduli(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """W V λ and w V μ of each point, with two axes to broadcast over matrices."""
-        scale = self.weights.astype(np.float64) * self.volumes_m3
-        lame = (self.lame_pa * scale[:, None])[:, :, None, None]
-        return lame[:, 0], lame[:, 1]
+    def _materials(self) -> list[tuple[npt.NDArray[np.intp], Law]]:
+        """Each law with the points that follow it."""
+        found = []
+        lame = self.lame_pa.astype(np.float64)
+        for number in np.unique(self.laws):
+            at = np.flatnonzero(self.laws == number)
+            law = LAWS[number](lame[at, 0], lame[at, 1], self.mooney_ratios[at].astype(np.float64))
+            found.append((at, law))
+        return found
 
-    def _strain(self, q: npt.ArrayLike) -> tuple[Any, Any, Any, Any]:
-        """Coordinates (…, r); F, E (…, p, 3, 3) and tr E (…, p, 1, 1) there."""
+    @cached_property
+    def _scale(self) -> npt.NDArray[np.float64]:
+        """W V of each point."""
+        return np.asarray(self.weights.astype(np.float64) * self.volumes_m3)
+
+    def _displacement_gradient(self, q: npt.ArrayLike) -> tuple[Any, Any]:
+        """Coordinates (…, r), and D there, (…, p, 3, 3)."""
         x = np.asarray(q, dtype=np.float64)
         if x.ndim not in (1, 2) or x.shape[-1] != self.size:
             raise MismatchError(f"coordinates of the shape {x.shape} for a basis of {self.size}")
-        f = (x @ self._gradients.T).reshape(*x.shape[:-1], -1, 3, 3) + np.eye(3)
-        e = 0.5 * (np.swapaxes(f, -1, -2) @ f - np.eye(3))
-        return x, f, e, np.trace(e, axis1=-2, axis2=-1)[..., None, None]
+        return x, (x @ self._gradients.T).reshape(*x.shape[:-1], -1, 3, 3)
 
     def energy_j(self, q: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Strain energy in J at ``q``: (r,), or a batch (b, r)."""
-        x, _, e, trace = self._strain(q)
-        return self._energy_j(x, e, trace)
+        return self._energy_j(*self._displacement_gradient(q))
 
-    def _energy_j(self, x: Any, e: Any, trace: Any) -> npt.NDArray[np.float64]:
-        lame_lambda, mu = self._moduli
-        density = (mu * e * e).sum((-1, -2)) + (0.5 * lame_lambda * trace**2)[..., 0, 0]
+    def _energy_j(self, x: Any, d: Any) -> npt.NDArray[np.float64]:
+        density = np.empty(d.shape[:-2])
+        for at, law in self._materials:
+            density[..., at] = law.energy_density(d[..., at, :, :])
         stitched = 0.5 * ((x @ self.stitch_stiffness) * x).sum(-1)
-        return np.asarray(density.sum(-1) + stitched)
+        return np.asarray(density @ self._scale + stitched)
 
     def force(self, q: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Reduced internal force +∂Ψ/∂q at ``q``: (r,), or a batch (b, r)."""
-        x, f, e, trace = self._strain(q)
-        return self._force(x, f, self._stress(e, trace))
+        return self._force(*self._displacement_gradient(q))
 
-    def _stress(self, e: Any, trace: Any) -> Any:
-        """The second Piola–Kirchhoff stress S, times w V."""
-        lame_lambda, mu = self._moduli
-        return lame_lambda * trace * np.eye(3) + 2.0 * mu * e
-
-    def _force(self, x: Any, f: Any, s: Any) -> npt.NDArray[np.float64]:
-        stress = (f @ s).reshape(*x.shape[:-1], -1)
-        return np.asarray(stress @ self._gradients + x @ self.stitch_stiffness)
+    def _force(self, x: Any, d: Any) -> npt.NDArray[np.float64]:
+        stress = np.empty_like(d)
+        for at, law in self._materials:
+            stress[..., at, :, :] = law.stress(d[..., at, :, :])
+        stress *= self._scale[:, None, None]
+        flat = stress.reshape(*x.shape[:-1], -1)
+        return np.asarray(flat @ self._gradients + x @ self.stitch_stiffness)
 
     def evaluate(self, q: npt.ArrayLike) -> Evaluation:
         """Energy, force and tangent stiffness at ``q``: (r,), or a batch (b, r)."""
-        x, f, e, trace = self._strain(q)
-        s = self._stress(e, trace)
-        flat = (-1, *f.shape[-3:])
-        stiffness = np.stack(
-            [self._stiffness(fb, sb) for fb, sb in zip(f.reshape(flat), s.reshape(flat), strict=True)]
-        ).reshape(*x.shape[:-1], self.size, self.size)
-        return Evaluation(self._energy_j(x, e, trace), self._force(x, f, s), stiffness)
+        x, d = self._displacement_gradient(q)
+        stiffness = np.stack([self._stiffness(one) for one in d.reshape(-1, *d.shape[-3:])])
+        shape = (*x.shape[:-1], self.size, self.size)
+        return Evaluation(self._energy_j(x, d), self._force(x, d), stiffness.reshape(shape))
 
-    def _stiffness(self, f: Any, s: Any) -> npt.NDArray[np.float64]:
-        """Gᵀ (∂P/∂F) G, with ∂P_ij/∂F_kl = δ_ik S_lj + λ F_ij F_kl + μ (F_il F_kj + (FFᵀ)_ik δ_jl)."""
-        lame_lambda, mu = (m[..., None, None] for m in self._moduli)
-        eye = np.eye(3)
-        ik, jl = eye[:, None, :, None], eye[None, :, None, :]
-        tangent = (
-            ik * s[:, None, :, None, :]
-            + lame_lambda * f[:, :, :, None, None] * f[:, None, None, :, :]
-            + mu * np.einsum("pil,pkj->pijkl", f, f)
-            + mu * np.einsum("pim,pkm->pik", f, f)[:, :, None, :, None] * jl
-        ).reshape(-1, 9, 9)
+    def _stiffness(self, d: Any) -> npt.NDArray[np.float64]:
         gradients = self._gradients.reshape(-1, 9, self.size)
+        tangent = np.empty((len(d), 9, 9))
+        for at, law in self._materials:
+            tangent[at] = law.stress_derivative(d[at])
+        tangent *= self._scale[:, None, None]
         moved = (tangent @ gradients).reshape(-1, self.size)
         return np.asarray(self._gradients.T @ moved + self.stitch_stiffness)

@@ -22,16 +22,14 @@ _TOLERANCE = 1e-8
 class Stepper:
     """Steps an evaluator in time, starting at rest at q = 0.
 
-    ``gravity_load`` and other forces are reduced ones: Uᵀ f. ``gravity_load``
-    makes that of gravity.
+    Damping is the session's, from the evaluator's tables. Forces are reduced ones, Uᵀ f; gravity is added.
     """
 
     def __init__(
         self,
         evaluator: Evaluator,
         dt_s: float,
-        rayleigh_mass_per_s: float = 0.1,
-        rayleigh_stiffness_s: float = 0.001,
+        gravity_m_s2: npt.ArrayLike = (0.0, -9.81, 0.0),
     ) -> None:
         """Prepare the damping, which belongs to the body at rest."""
         if not 0.0 < dt_s <= 1.0:
@@ -42,17 +40,23 @@ class Stepper:
         zero = np.zeros(evaluator.size)
         self.q, self.velocity, self.acceleration = zero, zero.copy(), zero.copy()
         rest = evaluator.evaluate(zero).stiffness
-        self._damping = rayleigh_mass_per_s * np.eye(len(zero)) + rayleigh_stiffness_s * rest
+        alpha, beta = evaluator.damping.astype(np.float64)
+        self._damping = alpha * np.eye(len(zero)) + beta * rest
+        self._gravity = evaluator.gravity_loads @ np.asarray(gravity_m_s2, dtype=np.float64)
 
-    def step(self, force: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def step(self, force: npt.ArrayLike | None = None) -> npt.NDArray[np.float64]:
         """Advance by ``dt_s`` under the reduced force (r,); returns q.
 
         Raises ArithmeticError, with nothing changed, if Newton's method does not converge: take
         shorter steps.
         """
-        load = np.asarray(force, dtype=np.float64)
-        if load.shape != self.q.shape:
-            raise MismatchError(f"a force of the shape {load.shape} for {len(self.q)} coordinates")
+        load = self._gravity
+        if force is not None:
+            given = np.asarray(force, dtype=np.float64)
+            if given.shape != self.q.shape:
+                detail = f"a force of the shape {given.shape} for {len(self.q)} coordinates"
+                raise MismatchError(detail)
+            load = load + given
         h = self.dt_s
         q = self.q + h * self.velocity + h * h * (0.5 - _BETA) * self.acceleration
         v = self.velocity + h * (1.0 - _GAMMA) * self.acceleration
@@ -73,17 +77,3 @@ class Stepper:
             matrix = np.eye(len(q)) + _GAMMA * h * self._damping + _BETA * h * h * here.stiffness
             a = a - np.linalg.solve(matrix, residual)
         raise ArithmeticError(f"the step at {self.time_s} s does not converge; take shorter steps")
-
-
-def gravity_load(
-    basis: npt.ArrayLike, mass: npt.ArrayLike, gravity_m_s2: npt.ArrayLike = (0.0, -9.81, 0.0)
-) -> npt.NDArray[np.float64]:
-    """Uᵀ M g: the reduced force (r,) of gravity on a basis (r, n, 3) with lumped masses (n,)."""
-    load: npt.NDArray[np.float64] = np.einsum(
-        "rvi,v,i->r",
-        np.asarray(basis, dtype=np.float64),
-        np.asarray(mass, dtype=np.float64),
-        np.asarray(gravity_m_s2, dtype=np.float64),
-        optimize=True,
-    )
-    return load

@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from conftest import SEAM, STIFFNESS_N_M, TIP, Daemon, bar, prepared
+from conftest import CONFIG, SEAM, STIFFNESS_N_M, TIP, Daemon, bar, prepared
 
 import sutura
 from sutura.arrays import Arrays, Generation
@@ -221,6 +221,21 @@ def test_a_client_evaluates_on_its_own(session: sutura.Session, zenoh_client: Ze
     assert 0 < error < 0.2
     with pytest.raises(sutura.MismatchError):
         evaluator.force(q[:, 1:])
+
+
+@pytest.mark.parametrize("law", ["linear", "stvk", "neo_hookean", "mooney_rivlin", "corotational"])
+def test_every_law_is_evaluated_as_the_daemon_does(client: sutura.Client, law: str) -> None:
+    more = {"mooney_ratio": 0.3} if law == "mooney_rivlin" else {}
+    materials = {1: sutura.material(5e5, 0.4, 1000.0, law, **more), 2: sutura.material(4e5, 0.3)}
+    config = {**CONFIG, "material": None, "domain_materials": materials}
+    session = client.create(bar(), **config, wait=True)
+    session.stitch(SEAM, STIFFNESS_N_M)
+    q = np.stack([pose(session, size) for size in (0.03, 0.0, -0.01)])
+    theirs, ours = session.evaluate(q), session.evaluator().evaluate(q)
+    for name in ("energy_j", "force", "stiffness"):
+        found, expected = getattr(ours, name), getattr(theirs, name)
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    session.delete()
 
 
 def test_force_is_the_gradient_of_energy_and_stiffness_that_of_force(

@@ -44,9 +44,7 @@ def test_a_simulation_crosses_an_edit_without_a_jump(
             replies: list[sutura.EditReply] = []
 
             def edit(undo: tuple[int, ...] = undo, replies: list[Any] = replies) -> None:
-                replies.append(
-                    session.unstitch(undo) if undo else session.stitch(SEAM[8:], STIFFNESS_N_M)
-                )
+                replies.append(session.unstitch(undo) if undo else session.stitch(SEAM[8:], STIFFNESS_N_M))
 
             editing = threading.Thread(target=edit)
             editing.start()
@@ -112,7 +110,6 @@ def test_a_stream_ends_with_its_session(session: sutura.Session) -> None:
 def test_a_client_steps_as_the_daemon_does(session: sutura.Session) -> None:
     session.stitch(SEAM, STIFFNESS_N_M)
     stepper = sutura.Stepper(session.evaluator(), CONFIG["dt_s"])
-    load = sutura.gravity_load(session.basis(dtype="f64"), session.mass(dtype="f64"))
     session.simulate(**CONFIG)
     found: dict[int, Any] = {}
     with session.states() as states:
@@ -122,7 +119,7 @@ def test_a_client_steps_as_the_daemon_does(session: sutura.Session) -> None:
             state = take(states)
     expected = {0: stepper.q}
     for step in range(1, max(found) + 1):
-        expected[step] = stepper.step(load)
+        expected[step] = stepper.step()
     scale = max(float(np.abs(q).max()) for q in expected.values())
     assert scale > 0
     for step, q in found.items():
