@@ -45,7 +45,7 @@ from .frames import Frame, State
 from .mesh import Mesh
 from .progress import ProgressBars
 from .session import Session
-from .sessions import force
+from .sessions import force, grab
 from .states import StateStream
 from .stepping import Stepper
 from .tracker import Tracker
@@ -91,6 +91,7 @@ __all__ = [
     "Tracker",
     "edits",
     "force",
+    "grab",
     "material",
     "reconstruct",
 ]

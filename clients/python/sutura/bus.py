@@ -12,9 +12,10 @@ from typing_extensions import Self
 
 from .arrays import Generation
 from .documents import GenerationInfo, SessionInfo, read
+from .edits import index_list
 from .errors import ConnectionFailedError, DecodeError, NotFoundError, Problem, SuturaError, refusal
 from .frames import Frame
-from .sessions import AnySession, Force
+from .sessions import AnySession, Force, Grab
 from .states import QueuedStates, StateStream
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -131,12 +132,11 @@ class BusSession(AnySession):
         given = {"generation": str(generation), **parameters}
         return Frame(self._query(resource, ";".join(f"{k}={v}" for k, v in given.items())))
 
-    def push_forces(self, forces: Iterable[Force]) -> None:
-        """Add forces to the running simulation; those the daemon refuses are lost."""
+    def _publish(self, resource: str, document: Mapping[str, Any]) -> None:
         try:
             self._zenoh_session.put(
-                self._key("forces"),
-                json.dumps({"forces": list(forces)}),
+                self._key(resource),
+                json.dumps(document),
                 encoding=_JSON,
                 congestion_control=zenoh.CongestionControl.DROP,
                 priority=zenoh.Priority.REAL_TIME,
@@ -144,6 +144,17 @@ class BusSession(AnySession):
             )
         except zenoh.ZError as error:
             raise ConnectionFailedError(f"Zenoh: {error}") from error
+
+    def push_forces(self, forces: Iterable[Force]) -> None:
+        """Add forces to the running simulation; those the daemon refuses are lost."""
+        self._publish("forces", {"forces": list(forces)})
+
+    def hold(self, grabs: Iterable[Grab] = (), release: Iterable[int] = ()) -> None:
+        """Take hold of vertices of the simulated body, see ``grab``, and let grabs go by their names.
+
+        What the daemon refuses is lost.
+        """
+        self._publish("grabs", {"grabs": list(grabs), "release": index_list(release)})
 
     def states(self) -> StateStream:
         """The states that the simulation publishes."""

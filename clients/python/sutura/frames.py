@@ -119,6 +119,18 @@ class State:
     q: npt.NDArray[np.float32]
     """Reduced coordinates."""
 
+    @property
+    def rotation(self) -> npt.NDArray[np.float64]:
+        """The rotation of ``rigid`` as a matrix, (3, 3)."""
+        x, y, z, w = self.rigid[3:]
+        return np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+
     @staticmethod
     def decode(data: Buffer) -> State:
         """Read a state frame; raises DecodeError unless all of ``data`` is one."""

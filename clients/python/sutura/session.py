@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from .arrays import Generation
 from .documents import Event, GenerationInfo, SessionInfo, SimulationInfo, read
+from .edits import index_list
 from .errors import BuildFailedError, DecodeError, Problem
 from .evaluator import Evaluation
 from .events import EventStream
 from .frames import FRAME, Frame
 from .progress import listener
-from .sessions import AnySession, Force
+from .sessions import AnySession, Force, Grab
 from .states import StateStream, WebSocketStates
 
 if TYPE_CHECKING:
@@ -151,6 +152,11 @@ class Session(AnySession):
         """Add forces to the running simulation; see ``force``."""
         path = self._path("simulation", "forces")
         self._client.send("POST", path, json={"forces": list(forces)})
+
+    def hold(self, grabs: Iterable[Grab] = (), release: Iterable[int] = ()) -> None:
+        """Take hold of vertices of the simulated body, see ``grab``, and let grabs go by their names."""
+        request = {"grabs": list(grabs), "release": index_list(release)}
+        self._client.send("POST", self._path("simulation", "grabs"), json=request)
 
     def states(self) -> StateStream:
         """The states that the simulation publishes, over a WebSocket."""

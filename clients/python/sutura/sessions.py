@@ -26,6 +26,29 @@ def force(vertex: int, force_n: npt.ArrayLike, duration_s: float) -> Force:
     return {"vertex": int(vertex), "force_n": x.tolist(), "duration_s": float(duration_s)}
 
 
+Grab = Mapping[str, Any]
+
+
+def grab(
+    id: int,
+    vertex: int,
+    target_m: npt.ArrayLike,
+    stiffness_n_m: float,
+    damping_n_s_m: float = 0.0,
+) -> Grab:
+    """A damped spring from a vertex to a point: a hand or a tool. Sent again by its name, it is moved."""
+    x = np.asarray(target_m, dtype=np.float64)
+    if x.shape != (3,):
+        raise ValueError(f"a target has three coordinates, not the shape {x.shape}")
+    return {
+        "id": int(id),
+        "vertex": int(vertex),
+        "target_m": x.tolist(),
+        "stiffness_n_m": float(stiffness_n_m),
+        "damping_n_s_m": float(damping_n_s_m),
+    }
+
+
 class AnySession(Arrays):
     """A session, over HTTP or over Zenoh."""
 
@@ -45,6 +68,10 @@ class AnySession(Arrays):
     @abstractmethod
     def push_forces(self, forces: Iterable[Force]) -> None:
         """Add forces to the running simulation; see ``force``."""
+
+    @abstractmethod
+    def hold(self, grabs: Iterable[Grab] = (), release: Iterable[int] = ()) -> None:
+        """Take hold of vertices of the simulated body, see ``grab``, and let grabs go by their names."""
 
     @abstractmethod
     def states(self) -> StateStream:

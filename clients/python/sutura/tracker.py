@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import numpy as np
 import numpy.typing as npt
 
 from .arrays import Arrays, Block, Combination, Dictionary, reconstruct
@@ -30,6 +31,7 @@ class Tracker:
         self._n_spent = 0
         """Columns fetched as whole bases since blocks were fetched last."""
         self._whole: FloatArray | None = None
+        self._rest: tuple[int, FloatArray] | None = None
         self.dictionary = Dictionary()
         """The shared columns held."""
         self._combination = source.combination()
@@ -57,6 +59,17 @@ class Tracker:
         if state.generation != self.generation:
             self.follow(state.generation)
         return self.reconstruct(state.q)
+
+    def positions(self, state: State) -> npt.NDArray[np.float64]:
+        """Where every vertex is in m, (n_vertices, 3), at ``state``: x = t + R (X + u), rigid motion included.
+
+        Rest positions are fetched once for each generation that is asked for: a closing moves them.
+        """
+        moved = self.displacement(state).astype(np.float64)
+        if self._rest is None or self._rest[0] != state.generation:
+            self._rest = state.generation, self._source.positions(state.generation, dtype="f64")
+        moved += self._rest[1]
+        return moved @ state.rotation.T + state.rigid[:3]
 
     def follow(self, generation: int) -> None:
         """Go over to ``generation``; blocks that no further edit of it would use are dropped."""

@@ -90,6 +90,38 @@ def test_states_arrive_over_websocket_and_zenoh_and_answer_to_forces(
             ended()
 
 
+def test_vertices_are_held_and_let_go(session: sutura.Session, zenoh_client: ZenohClient) -> None:
+    session.stitch(SEAM, STIFFNESS_N_M)
+    session.simulate(**{**CONFIG, "gravity_m_s2": (0, 0, 0)})
+    tracker = sutura.Tracker(session)
+    target = session.positions(dtype="f64")[TIP] + (0.0, 0.0, 0.005)
+    bus = zenoh_client.session(session.id)
+    with session.states() as states:
+        session.hold([sutura.grab(7, TIP, target, stiffness_n_m=200.0, damping_n_s_m=1.0)])
+        while (here := tracker.positions(take(states))[TIP])[2] < target[2] - 0.003:
+            assert np.isfinite(here).all()
+        assert session.simulation().raw["n_grabs"] == 1
+        bus.hold(release=[7])
+        while session.simulation().raw["n_grabs"] > 0:
+            take(states)
+
+
+def test_a_free_body_falls_as_a_whole(session: sutura.Session) -> None:
+    session.stitch(SEAM, STIFFNESS_N_M)
+    reply = session.release(FIXED)
+    assert reply.n_rigid_modes == 6
+    rest = session.positions(dtype="f64")
+    mass = session.mass(dtype="f64")
+    session.simulate(dt_s=0.002, publish_hz=200.0, gravity_m_s2=(0.0, -9.81, 0.0))
+    tracker = sutura.Tracker(session)
+    with session.states() as states:
+        state = take(states)
+        while state.time_s < 0.1:
+            state = take(states)
+        fallen = (mass @ (tracker.positions(state) - rest)) / mass.sum()
+    np.testing.assert_allclose(fallen, [0, -0.5 * 9.81 * state.time_s**2, 0], atol=2e-3)
+
+
 def test_a_body_that_nothing_holds_is_refused(session: sutura.Session) -> None:
     with pytest.raises(sutura.ImpossibleError, match="6 rigid mo"):
         session.simulate(**CONFIG)
