@@ -1,11 +1,14 @@
 /** A real browser on a real daemon. */
 
-import { mkdirSync, mkdtempSync, rmSync } from 'node:fs'
+import { mkdirSync, mkdtempSync, readFileSync, rmSync } from 'node:fs'
+import { createRequire } from 'node:module'
 import { tmpdir } from 'node:os'
 import { join } from 'node:path'
 import { fileURLToPath } from 'node:url'
 import { inflateSync } from 'node:zlib'
 import { chromium } from 'playwright-core'
+
+const AXE = readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8')
 
 /** Screenshots are kept here. */
 export const OUTPUT = fileURLToPath(new URL('output', import.meta.url))
@@ -56,6 +59,15 @@ export async function openPage(address, options = {}) {
       rmSync(profile, { recursive: true, force: true })
     },
   }
+}
+
+/** What assistive technology would stumble over, by the rules of WCAG 2.2 AA. */
+export async function obstacles(page) {
+  await page.evaluate(AXE)
+  const { violations } = await page.evaluate(() => window.axe.run())
+  return violations.flatMap(({ id, help, nodes }) =>
+    nodes.map((node) => `${id}: ${help}: ${node.html.slice(0, 200)}: ${node.failureSummary}`),
+  )
 }
 
 /** The canvas as it is seen: kept as a picture, and its pixels (width, height, RGB). */

@@ -8,7 +8,7 @@ import { after, afterEach, before, test } from 'node:test'
 import { fileURLToPath } from 'node:url'
 import { startDaemon } from '../../clients/web/scripts/daemon.mjs'
 import { bar } from '../../clients/web/tests/bodies.mjs'
-import { OUTPUT, difference, drawn, openPage, picture } from './browser.mjs'
+import { OUTPUT, difference, drawn, obstacles, openPage, picture } from './browser.mjs'
 
 const DATA = fileURLToPath(new URL('../data/', import.meta.url))
 
@@ -205,6 +205,32 @@ function gmsh(vertices, tets) {
   const block = (name, lines) => [`$${name}`, String(lines.length), ...lines, `$End${name}`]
   const head = ['$MeshFormat', '2.2 0 8', '$EndMeshFormat']
   return [...head, ...block('Nodes', nodes), ...block('Elements', elements), ''].join('\n')
+}
+
+for (const colorScheme of ['light', 'dark']) {
+  test(`nothing stands in the way of those who do not see or point, ${colorScheme}`, async () => {
+    const { page, faults } = await open({ colorScheme })
+    assert.deepEqual(await obstacles(page), [])
+    await page.keyboard.press('Tab')
+    for (let i = 0; i < 20; i++) {
+      const focused = await page.evaluate(() => document.activeElement?.id)
+      if (focused === 'new-session') break
+      await page.keyboard.press('Tab')
+    }
+    await page.keyboard.press('Enter')
+    await page.getByRole('dialog', { name: 'New session' }).waitFor()
+    assert.deepEqual(await obstacles(page), [])
+    await page.keyboard.press('Escape')
+    await upload(page, 'fork_small')
+    await page.locator('#stitch-all').click()
+    await settled(page, 1)
+    await page.evaluate(() => {
+      for (const section of document.querySelectorAll('aside details')) section.open = true
+    })
+    assert.deepEqual(await obstacles(page), [])
+    await picture(page, `everything-${colorScheme}`)
+    assert.deepEqual(faults, [])
+  })
 }
 
 test('a bad mesh is refused with its reason, and the form stays', async () => {

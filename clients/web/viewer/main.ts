@@ -63,7 +63,7 @@ function start(): void {
 }
 
 function header(stage: Stage, motion: Motion, tools: Tools): HTMLElement {
-  const title = element('h1', { className: 'title' })
+  const title = element('span', { className: 'title', id: 'title' })
   app.info.subscribe((info) => (title.textContent = info ? (info.name ?? info.id.slice(0, 8)) : ''))
 
   const choose = (tool: Tool, text: string, key: string) => {
@@ -119,7 +119,7 @@ function header(stage: Stage, motion: Motion, tools: Tools): HTMLElement {
     button('Fit', () => stage.lookAtBody(), { title: 'Whole body in view (F)' }),
   )
   app.body.subscribe((body) => (bar.hidden = body === undefined))
-  return element('header', {}, element('span', { className: 'brand' }, 'Sutura'), title, bar)
+  return element('header', {}, element('h1', { className: 'brand' }, 'Sutura'), title, bar)
 }
 
 function viewport(motion: Motion): HTMLElement {

@@ -109,6 +109,10 @@ export class Stage {
     }
     this.#maxTextureSize = this.#renderer.capabilities.maxTextureSize
     this.#controls = this.#newControls()
+    canvas.addEventListener('webglcontextrestored', () => {
+      for (const actor of [this.#actor, this.#other]) actor?.markStale()
+      this.#redress()
+    })
     new ResizeObserver(() => this.#resize()).observe(canvas)
   }
 

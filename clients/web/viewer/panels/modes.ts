@@ -70,7 +70,7 @@ export function modesPanel(app: App, motion: Motion): HTMLElement {
         element(
           'thead',
           {},
-          element('tr', {}, column('#'), column('before, Hz'), column('now, Hz'), column(''), column('swing')),
+          element('tr', {}, column('#'), column('before, Hz'), column('now, Hz'), column('by'), column('swing')),
         ),
         rows,
       ),

@@ -96,7 +96,8 @@ export function seamPanel(app: App, tools: Tools): HTMLElement {
         : `${nStitched} of ${plural(n, 'candidate pair')} stitched.`
     prepared.textContent =
       n === 0 ? '' : `Prepared: ${nPrepared} of ${n}. Edits of prepared pairs take no sparse solve.`
-    prepare.hidden = n === 0 || nPrepared >= n
+    const nNamed = app.info.value?.parameters?.n_seam_pairs ?? 0
+    prepare.hidden = n === 0 || Math.max(nPrepared, nNamed) >= n
     for (const control of [brush, all, none, prepare]) control.disabled = isBusy || n === 0
     all.disabled ||= nStitched === n
     none.disabled ||= (shown?.current.stitches.ids.length ?? 0) === 0
