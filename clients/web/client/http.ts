@@ -29,6 +29,8 @@ export interface RequestOptions {
   /** A document, or a form. */
   readonly body?: object
   readonly signal?: AbortSignal | undefined
+  /** Whether the request outlives the page that makes it. */
+  readonly keepalive?: boolean
 }
 
 /** A client of the daemon at one address. */
@@ -43,18 +45,18 @@ export class Client {
   }
 
   /**
-   * Opens a session on the mesh inside `config`, or on a mesh file whose name's extension tells its
-   * format. Answers as soon as the daemon has accepted it, see {@link Session.waitReady}.
+   * Opens a session on the mesh inside `config`, or on the files of a mesh (TetGen's are two), whose
+   * names' extensions tell the format. Answers as soon as the daemon has accepted it, see {@link Session.waitReady}.
    */
   async create(
     config: SessionConfig,
-    mesh?: { readonly name: string; readonly content: Blob },
+    ...files: readonly { readonly name: string; readonly content: Blob }[]
   ): Promise<Session> {
     let body: object = config
-    if (mesh !== undefined) {
+    if (files.length > 0) {
       const form = new FormData()
       form.append('config', new Blob([JSON.stringify(config)], { type: 'application/json' }))
-      form.append('mesh', mesh.content, mesh.name)
+      for (const { name, content } of files) form.append('mesh', content, name)
       body = form
     }
     const info = await this.document<SessionInfo>('/v1/sessions', { method: 'POST', body })
@@ -95,7 +97,7 @@ export class Client {
 
   /** The answer to a request, if it is a success; otherwise throws a {@link ProblemError}. */
   async request(path: string, options: RequestOptions = {}): Promise<Response> {
-    const { method = 'GET', query = {}, accept, body, signal } = options
+    const { method = 'GET', query = {}, accept, body, signal, keepalive = false } = options
     const given = Object.entries(query).filter(([, value]) => value !== undefined)
     const search = new URLSearchParams(given.map(([name, value]) => [name, String(value)]))
     const headers = new Headers()
@@ -108,6 +110,7 @@ export class Client {
       headers,
       body: isDocument ? JSON.stringify(body) : ((body as FormData | undefined) ?? null),
       signal: signal ?? null,
+      keepalive,
     })
     if (!response.ok) throw await ProblemError.of(response)
     return response

@@ -35,6 +35,7 @@ export type {
   Force,
   Generation,
   GenerationArray,
+  Grab,
   SimulationConfig,
   SimulationInfo,
   Stitches,

@@ -26,6 +26,8 @@ export type SimulationConfig = Schemas['SimulationConfig']
 export type SimulationInfo = Schemas['SimulationInfo']
 /** A force on one vertex for some time. */
 export type Force = Schemas['Force']
+/** A damped spring from a vertex to a point in the world. */
+export type Grab = Schemas['Grab']
 /** Energy, force and stiffness at some coordinates. */
 export type Evaluation = Schemas['Evaluation']
 
@@ -290,6 +292,13 @@ export class Session {
   async pushForces(forces: readonly Force[]): Promise<void> {
     const body = { forces }
     await this.#client.request(`${this.#path}/simulation/forces`, { method: 'POST', body })
+  }
+
+  /** Takes hold of vertices, or moves what holds on; lets go of the grabs named in `release`. */
+  async grab(grabs: readonly Grab[], release: readonly number[] = []): Promise<void> {
+    const path = `${this.#path}/simulation/grabs`
+    // What is let go as a page is closed is let go all the same.
+    await this.#client.request(path, { method: 'POST', body: { grabs, release }, keepalive: true })
   }
 
   /** Published states of this and of later simulations, until the session ends. */

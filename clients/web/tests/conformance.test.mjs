@@ -57,6 +57,19 @@ test('a build tells of its stages and ends ready', async () => {
   await assert.rejects(fork.info(), (error) => error instanceof ProblemError && error.status === 404)
 })
 
+test('a mesh of two files is read', async () => {
+  const files = ['two_boxes.node', 'two_boxes.ele'].map((name) => ({
+    name,
+    content: new Blob([readFileSync(new URL(`../../../tests/data/formats/${name}`, import.meta.url))]),
+  }))
+  const { mesh: _, fixed_vertices: __, ...rest } = config()
+  const session = await client.create(rest, ...files)
+  const info = await session.waitReady()
+  assert.ok(info.n_tets > 0)
+  assert.equal((await session.tets()).length, 4 * info.n_tets)
+  await session.delete()
+})
+
 test('arrays are bit for bit those of the .npy files', async () => {
   const session = await readyBar()
   await session.edit(stitch(seam()))
@@ -249,6 +262,11 @@ test('states arrive, answer to forces and cross an edit without a jump', async (
   assert.equal((await editing).generation, 2)
   assert.ok(jump === undefined || jump < 0.01, `${jump}`)
   assert.ok((await session.simulation()).n_forces >= 1)
+  const hold = { id: 2 ** 50 + 1, vertex: TIP, target_m: [0.2, 0.1, 0], stiffness_n_m: 1 }
+  await session.grab([hold])
+  while ((await session.simulation()).n_grabs !== 1) await sleep(5)
+  await session.grab([], [hold.id])
+  while ((await session.simulation()).n_grabs !== 0) await sleep(5)
   await session.stopSimulation()
   await session.delete()
 })

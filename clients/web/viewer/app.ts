@@ -142,10 +142,10 @@ export class App {
     if (this.notice.value?.text !== text) this.notice.value = { kind: 'error', text }
   }
 
-  /** Opens a session on a mesh file. */
-  async create(file: File, config: SessionConfig, hold?: Hold): Promise<void> {
+  /** Opens a session on the files of a mesh. */
+  async create(files: readonly File[], config: SessionConfig, hold?: Hold): Promise<void> {
     const session = await this.#client
-      .create(config, { name: file.name, content: file })
+      .create(config, ...files.map((file) => ({ name: file.name, content: file })))
       .catch((error: unknown) => {
         this.#noteKey(error)
         throw error

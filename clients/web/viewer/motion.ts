@@ -4,7 +4,7 @@
  */
 
 import * as three from 'three'
-import type { Force, Session, Shapes, SimulationConfig, StateFrame, StateStream } from '../client/index.js'
+import type { Shapes, SimulationConfig, StateFrame, StateStream } from '../client/index.js'
 import type { App } from './app.js'
 import { bounds } from './body.js'
 import type { Body, GenerationData } from './body.js'
@@ -13,8 +13,10 @@ import type { Stage } from './stage.js'
 import { StaticModel, displacementAt } from './statics.js'
 import type { Vector } from './statics.js'
 
-/** Requests with forces under way at the same time; beyond, a moment of the pull is left out. */
-const MAX_FORCES_UNDER_WAY = 6
+/** A pull is a spring so many times as stiff as the body is there: it follows the pointer most of the way. */
+const PULL_STIFFNESS = 3
+/** Damping of that spring in N·s/m, of its stiffness. */
+const PULL_DAMPING_S = 0.02
 /** The largest displacement of a mode at full amplitude, of the body's diagonal. */
 const MODE_AMPLITUDE = 0.08
 /** The largest displacement in a comparison, of the body's diagonal. */
@@ -25,15 +27,21 @@ const MODE_HZ = [0.6, 2.4] as const
 /** How long to wait before a connection that broke is made again, in ms. */
 const RETRY_INTERVAL = 1000
 
-/** A vertex that is pulled at. */
+/** A vertex that is pulled at; places are in the world. */
 interface Pull {
+  /** Its name among the grabs of the simulation, which others may have hold of, too. */
+  readonly id: number
   readonly row: number
-  /** Where the vertex was when the pull began. */
+  readonly vertex: number
+  /** Where the pointer took hold. */
   readonly start: three.Vector3
   /** Where the pointer is. */
   target: three.Vector3
-  /** N/m: how hard the body resists there. */
+  /** N/m: how hard the body resists there; 0 until that is known. */
   stiffness: number
+  /** Whether the daemon has been told; where that is under way, it is told of later places behind it. */
+  isSent: boolean
+  sending: Promise<void> | undefined
 }
 
 /** Two bases under the same load. */
@@ -76,8 +84,6 @@ export class Motion {
   #model: { generation: number; model: Promise<StaticModel> } | undefined
   #pull: Pull | undefined
   #q: ArrayLike<number> = []
-  #lastForceTime = -1
-  #nUnderWay = 0
 
   constructor(
     private readonly app: App,
@@ -89,6 +95,7 @@ export class Motion {
       if (!running) this.state.value = undefined
       this.#show()
     })
+    window.addEventListener('pagehide', () => this.endPull())
     stage.onFrame = (seconds) => this.#swing(seconds)
   }
 
@@ -135,11 +142,14 @@ export class Motion {
     this.#show()
   }
 
-  /** Pulls at the vertex of `row` from `start`, where it is. */
+  /** Pulls at the vertex of `row`, which the pointer took hold of at `start`. */
   async beginPull(row: number, start: three.Vector3): Promise<void> {
     const body = this.app.body.value
     if (!body) return
-    const pull = { row, start, target: start.clone(), stiffness: 0 }
+    const id = Math.floor(Math.random() * 2 ** 48)
+    const vertex = body.surface.vertices[row]!
+    const [target, sending] = [start.clone(), undefined]
+    const pull: Pull = { id, row, vertex, start, target, stiffness: 0, isSent: false, sending }
     this.#pull = pull
     try {
       if (!this.#models && !this.app.isSimulating.value) {
@@ -151,6 +161,7 @@ export class Motion {
       this.app.report(error)
       this.endPull()
     }
+    this.#sendPull()
     this.#show()
   }
 
@@ -158,18 +169,44 @@ export class Motion {
   movePull(target: three.Vector3): void {
     if (!this.#pull) return
     this.#pull.target = target
+    this.#sendPull()
     this.#show()
   }
 
   endPull(): void {
+    const [pull, session] = [this.#pull, this.app.body.value?.session]
     this.#pull = undefined
     this.pullForce.value = undefined
     if (!this.#models) this.stage.showPull([])
     this.#show()
+    if (!pull?.isSent || !session) return
+    // Behind what is under way, which would take hold again.
+    const release = () => session.grab([], [pull.id])
+    Promise.resolve(pull.sending)
+      .then(release)
+      .catch((error: unknown) => this.app.report(error))
   }
 
-  /** The force of the pull now, in N. */
-  #force(pull: Pull): Vector {
+  /** Tells the simulation where the pull is; while it is being told, later places wait, and the last counts. */
+  #sendPull(): void {
+    const [pull, session] = [this.#pull, this.app.body.value?.session]
+    if (!pull || !session || pull.stiffness === 0 || pull.sending || this.#models) return
+    const stiffness_n_m = PULL_STIFFNESS * this.pullStrength * pull.stiffness
+    const damping_n_s_m = PULL_DAMPING_S * stiffness_n_m
+    const { id, vertex, target } = pull
+    const target_m: [number, number, number] = [target.x, target.y, target.z]
+    pull.isSent = true
+    pull.sending = session
+      .grab([{ id, vertex, target_m, stiffness_n_m, damping_n_s_m }])
+      .catch((error: unknown) => this.app.report(error))
+      .finally(() => {
+        pull.sending = undefined
+        if (this.#pull === pull && !pull.target.equals(target)) this.#sendPull()
+      })
+  }
+
+  /** The force of a pull as it would hold the body at rest, in N. */
+  #staticForce(pull: Pull): Vector {
     const [x, y, z] = pull.target
       .clone()
       .sub(pull.start)
@@ -214,7 +251,6 @@ export class Motion {
         for await (const state of stream) {
           if (this.app.body.value !== body) return
           this.app.noteState()
-          this.#pushForce(body.session, state)
           this.state.value = state
           this.#show()
         }
@@ -223,24 +259,6 @@ export class Motion {
       }
       await new Promise((wake) => setTimeout(wake, RETRY_INTERVAL))
     }
-  }
-
-  /** The force of this moment: it acts until the next state is due. */
-  #pushForce(session: Session, state: StateFrame): void {
-    const duration = state.timeSeconds - this.#lastForceTime
-    this.#lastForceTime = state.timeSeconds
-    const pull = this.#pull
-    if (!pull || pull.stiffness === 0 || this.#models) return
-    if (!(duration > 0 && duration < 0.2) || this.#nUnderWay >= MAX_FORCES_UNDER_WAY) return
-    const vertex = this.app.body.value?.surface.vertices[pull.row]
-    const force = this.#force(pull)
-    if (vertex === undefined || Math.hypot(...force) === 0) return
-    const given: Force = { vertex, force_n: [...force], duration_s: duration }
-    this.#nUnderWay += 1
-    session
-      .pushForces([given])
-      .catch((error: unknown) => this.app.report(error))
-      .finally(() => (this.#nUnderWay -= 1))
   }
 
   /** Poses what is on the stage. */
@@ -265,10 +283,13 @@ export class Motion {
   #showPull(body: Body): void {
     const pull = this.#pull
     if (!pull) return
-    this.pullForce.value = Math.hypot(...this.#force(pull))
     const { shapes } = body.current
-    const from = this.#at(body, body.current, pull.row, displacementAt(shapes, pull.row, this.#q))
-    this.stage.showPull([{ from, to: pull.target }])
+    const u = displacementAt(shapes, pull.row, this.#q)
+    const from = this.#at(body, body.current, pull.row, u)
+    const to = this.stage.toBody(pull.target)
+    const stiffness = PULL_STIFFNESS * this.pullStrength * pull.stiffness
+    this.pullForce.value = stiffness * from.distanceTo(to)
+    this.stage.showPull([{ from, to }])
   }
 
   #showComparison(models: CompareModels): void {
@@ -277,7 +298,7 @@ export class Motion {
     const pull = this.#pull
     if (pull && pull.stiffness > 0) {
       models.row = pull.row
-      models.force = this.#force(pull)
+      models.force = this.#staticForce(pull)
     }
     // Linear about the rest shape: what moves farther would be shown wrongly.
     const unscaled = newestMoved(models)
@@ -352,7 +373,11 @@ export class Motion {
   #staticModel(body: Body): Promise<StaticModel> {
     const { generation } = body.current
     if (this.#model?.generation !== generation) {
-      const model = StaticModel.of(body.session, body.surface, body.current)
+      // What floats gives way without end; against its own inertia it does not.
+      const slowest = this.app.frequencies.get(generation)?.[0] ?? 1
+      const shift = this.app.info.value?.n_rigid_modes ? (2 * Math.PI * slowest) ** 2 : 0
+      const { session, surface, current } = body
+      const model = StaticModel.of(session, surface, current, current.stitches, shift)
       this.#model = { generation, model }
     }
     return this.#model!.model

@@ -320,19 +320,26 @@ export class Stage {
     return { x: left + ((place.x + 1) / 2) * width, y: top + ((1 - place.y) / 2) * height }
   }
 
-  /** Where the pointer is in the plane through `through` that faces the camera; in the body's frame. */
+  /** Where the pointer is in the plane through `anchor` that faces the camera, in the world. */
   pointerInPlane(
     event: { clientX: number; clientY: number },
-    through: three.Vector3,
+    anchor: three.Vector3,
   ): three.Vector3 {
-    const group = this.#actor?.drawing.group
-    const anchor = group ? group.localToWorld(through.clone()) : through
     const facing = this.#camera.getWorldDirection(new three.Vector3())
     const plane = new three.Plane().setFromNormalAndCoplanarPoint(facing, anchor)
     const caster = new three.Raycaster()
     caster.setFromCamera(this.#toView(event), this.#camera)
-    const point = caster.ray.intersectPlane(plane, new three.Vector3()) ?? anchor
-    return group ? group.worldToLocal(point.clone()) : point
+    return caster.ray.intersectPlane(plane, new three.Vector3()) ?? anchor.clone()
+  }
+
+  /** A point of the body in the world. */
+  toWorld(point: three.Vector3): three.Vector3 {
+    return this.#actor?.drawing.group.localToWorld(point.clone()) ?? point
+  }
+
+  /** A point of the world in the frame of the body. */
+  toBody(point: three.Vector3): three.Vector3 {
+    return this.#actor?.drawing.group.worldToLocal(point.clone()) ?? point
   }
 
   /** Draws a frame soon. */

@@ -23,7 +23,8 @@ export class StaticModel {
   }
 
   /**
-   * The stiffness in the basis of `data` under the stitches `wanted`, which by default are its own.
+   * The stiffness in the basis of `data` under the stitches `wanted`, which by default are its own; plus
+   * `shift` in 1/s² times the mass, which is the identity.
    * Throws if the body is not held.
    */
   static async of(
@@ -31,6 +32,7 @@ export class StaticModel {
     surface: Surface,
     data: GenerationData,
     wanted: Stitches = data.stitches,
+    shift = 0,
   ): Promise<StaticModel> {
     const { size } = data.shapes
     const q = new Array<number>(size).fill(0)
@@ -52,6 +54,7 @@ export class StaticModel {
         }
       }
     }
+    for (let i = 0; i < size; i++) matrix[i]![i]! += shift
     return new StaticModel(data.shapes, cholesky(matrix))
   }
 

@@ -39,7 +39,7 @@ export class Tools {
     if (this.tool.value === 'pull') {
       const hit = this.stage.pick(event)
       if (!hit) return
-      const start = new three.Vector3(...hit.point)
+      const start = this.stage.toWorld(new three.Vector3(...hit.point))
       this.#pull = { start }
       void this.motion.beginPull(hit.row, start)
     } else if (this.tool.value === 'stitch' && !this.app.isEditing.value) {

@@ -57,7 +57,7 @@ export function motionPanel(app: App, motion: Motion, tools: Tools): HTMLElement
   motion.pullForce.subscribe((value) => {
     force.textContent =
       value === undefined
-        ? 'A pull moves the vertex about as far as the pointer.'
+        ? 'A pull moves the vertex most of the way to the pointer.'
         : `Pulling with ${newtons(value)}`
   })
   return section(

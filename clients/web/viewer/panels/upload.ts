@@ -53,7 +53,7 @@ interface FromFile {
 
 /** A dialog that opens sessions; `open` shows it, with files if there are some. */
 export function uploadDialog(app: App): { dialog: HTMLDialogElement; open: (files?: File[]) => void } {
-  let mesh: File | undefined
+  let mesh: File[] = []
   let fromFile: FromFile | undefined
 
   const name = element('input', { type: 'text', maxLength: 180, placeholder: 'Name of the mesh file' })
@@ -64,7 +64,7 @@ export function uploadDialog(app: App): { dialog: HTMLDialogElement; open: (file
     multiple: true,
     id: 'upload-files',
     className: 'visually-hidden',
-    accept: '.msh,.veg,.vtk,.vtu,.json',
+    accept: '.msh,.veg,.vtk,.vtu,.node,.ele,.json',
     on: { change: () => void take([...(picker.files ?? [])]) },
   })
   const zone = element(
@@ -146,20 +146,22 @@ export function uploadDialog(app: App): { dialog: HTMLDialogElement; open: (file
   const dialog = element('dialog', { attributes: { 'aria-label': 'New session' } }, form)
 
   const show = () => {
-    chosen.textContent = [mesh && `${mesh.name}`, fromFile?.text].filter(Boolean).join(' — ')
+    chosen.textContent = [...mesh.map((file) => file.name), fromFile?.text].filter(Boolean).join(' — ')
     material.hidden = fromFile?.config.material !== undefined || fromFile?.config.domain_materials !== undefined
     support.hidden = (fromFile?.config.fixed_vertices?.length ?? 0) > 0
-    submit.disabled = mesh === undefined
+    submit.disabled = mesh.length === 0
   }
 
   const take = async (files: File[]) => {
     problem.textContent = ''
-    for (const file of files) {
-      if (!file.name.toLowerCase().endsWith('.json')) {
-        mesh = file
-        if (name.value === '') name.value = file.name.replace(/\.[^.]*$/, '')
-        continue
-      }
+    const isConfig = (file: File) => file.name.toLowerCase().endsWith('.json')
+    const given = files.filter((file) => !isConfig(file))
+    if (given.length > 0) {
+      // TetGen's two files may come one after the other.
+      mesh = [...mesh.filter((file) => isHalf(file) && given.every((other) => isOtherHalf(file, other))), ...given]
+      if (name.value === '') name.value = given[0]!.name.replace(/\.[^.]*$/, '')
+    }
+    for (const file of files.filter(isConfig)) {
       try {
         fromFile = readConfig(file.name, await file.text())
         if (fromFile.config.name) name.value = fromFile.config.name
@@ -173,7 +175,7 @@ export function uploadDialog(app: App): { dialog: HTMLDialogElement; open: (file
 
   const send = async (event: Event) => {
     event.preventDefault()
-    if (!mesh || !form.reportValidity()) return
+    if (mesh.length === 0 || !form.reportValidity()) return
     submit.disabled = true
     problem.textContent = ''
     const numbers = { n_modes: Number(modes.value), basis: { size: Number(size.value) } }
@@ -193,7 +195,7 @@ export function uploadDialog(app: App): { dialog: HTMLDialogElement; open: (file
             },
           }),
       ...fromFile?.config,
-      name: name.value.trim() || mesh.name,
+      name: name.value.trim() || mesh[0]!.name,
     }
     try {
       await app.create(mesh, config, support.hidden ? undefined : holdOf(hold.value, Number(depth.value)))
@@ -209,7 +211,7 @@ export function uploadDialog(app: App): { dialog: HTMLDialogElement; open: (file
     dialog,
     open: (files = []) => {
       if (!dialog.open) {
-        mesh = undefined
+        mesh = []
         fromFile = undefined
         name.value = ''
         picker.value = ''
@@ -219,6 +221,18 @@ export function uploadDialog(app: App): { dialog: HTMLDialogElement; open: (file
       void take(files)
     },
   }
+}
+
+const HALF = /\.(node|ele)$/i
+
+/** Whether a file is one of TetGen's two. */
+function isHalf(file: File): boolean {
+  return HALF.test(file.name)
+}
+
+function isOtherHalf(file: File, other: File): boolean {
+  const ending = (name: string) => HALF.exec(name)?.[1]?.toLowerCase()
+  return isHalf(other) && ending(file.name) !== ending(other.name)
 }
 
 function holdOf(value: keyof typeof HOLDS, percent: number): Hold | undefined {
