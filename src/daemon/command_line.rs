@@ -13,9 +13,22 @@ use std::io::Write;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+/// What stands below the list of commands.
+const AFTER_HELP: &str = "\
+Examples:
+  sutura demo                                            the main job, on a bundled stomach
+  sutura serve                                           a daemon on this machine alone
+  sutura prepare liver.msh --config liver.json --out liver
+  sutura info                                            its sessions
+  sutura stitch SESSION --pair 17,4021 --stiffness 1e5
+  sutura export SESSION --out film --record 2            two seconds of its motion
+
+Exit codes: 0 done, 2 bad input (the message names the file and the line, vertex or tet at fault), 1
+anything else. SUTURA_SERVER names the daemon that info, stitch, watch and export ask.";
+
 /// Keeps deformable bodies ready for interactive editing.
 #[derive(Debug, Parser)]
-#[command(version, arg_required_else_help = true)]
+#[command(version, arg_required_else_help = true, after_help = AFTER_HELP)]
 pub(crate) struct CommandLine {
     /// What to do.
     #[command(subcommand)]

@@ -13,9 +13,12 @@ mod prepare;
 mod signals;
 
 use clap::Parser;
+use client::export::ExportCommandError;
 use command_line::{Command, CommandLine, ServeArgs};
 use daemon::Daemon;
 use demo::{DemoArgs, DemoError, SubscriberArgs};
+use doctor::DoctorError;
+use prepare::PrepareError;
 use signals::Signals;
 use std::io::Write;
 use std::process::ExitCode;
@@ -49,7 +52,7 @@ fn main() -> ExitCode {
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
-        Err(Failure::Client(error)) if error.is_closed_pipe() => ExitCode::SUCCESS,
+        Err(failure) if failure.is_closed_pipe() => ExitCode::SUCCESS,
         Err(failure) => {
             eprintln!("sutura: {}", failure.to_string().trim_end());
             if let Failure::Demo(error) = &failure {
@@ -119,11 +122,11 @@ enum Failure {
     #[error(transparent)]
     Client(#[from] client::ClientError),
     #[error(transparent)]
-    Export(#[from] client::export::ExportCommandError),
+    Export(#[from] ExportCommandError),
     #[error(transparent)]
-    Prepare(#[from] prepare::PrepareError),
+    Prepare(#[from] PrepareError),
     #[error(transparent)]
-    Doctor(#[from] doctor::DoctorError),
+    Doctor(#[from] DoctorError),
     #[error(transparent)]
     Demo(#[from] DemoError),
     #[error("{0} again: stopped without waiting for work under way")]
@@ -131,13 +134,26 @@ enum Failure {
 }
 
 impl Failure {
+    /// Whether whoever read the output has seen enough of it.
+    fn is_closed_pipe(&self) -> bool {
+        let error = match self {
+            Failure::Client(error) => return error.is_closed_pipe(),
+            Failure::Export(ExportCommandError::Client(error)) => return error.is_closed_pipe(),
+            Failure::Prepare(PrepareError::Output(error))
+            | Failure::Doctor(DoctorError::Output(error))
+            | Failure::System(error) => error,
+            _ => return false,
+        };
+        error.kind() == std::io::ErrorKind::BrokenPipe
+    }
+
     fn exit_code(&self) -> u8 {
         match self {
             Failure::Config(_) | Failure::LogFilter(_) => BAD_INPUT,
             Failure::Client(error) if error.is_bad_input() => BAD_INPUT,
             Failure::Export(error) if error.is_bad_input() => BAD_INPUT,
             Failure::Prepare(error) if error.is_bad_input() => BAD_INPUT,
-            Failure::Doctor(doctor::DoctorError::Config(_)) => BAD_INPUT,
+            Failure::Doctor(DoctorError::Config(_)) => BAD_INPUT,
             Failure::Demo(error) if error.is_bad_input() => BAD_INPUT,
             Failure::Start(_)
             | Failure::Metrics(_)

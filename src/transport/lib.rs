@@ -32,6 +32,7 @@ mod problem;
 #[cfg(test)]
 mod tests;
 
+pub use conversion::session::UNNAMED;
 pub use gateway::Gateway;
 pub use limits::Limits;
 pub use metrics::install_recorder;

@@ -253,6 +253,13 @@ def test_the_doctor_looks_at_ports(daemon: Daemon, tmp_path: Path) -> None:
     assert "lisen" in run("doctor", "--config", config, code=2).stderr
 
 
+def test_a_reader_that_has_seen_enough_is_no_error() -> None:
+    for arguments in ("completions zsh", "doctor", "doctor --json"):
+        script = f"set -o pipefail; {PROGRAM} {arguments} | true"
+        done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=60)
+        assert (done.returncode, done.stderr) == (0, ""), arguments
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completions_know_every_command(shell: str) -> None:
     script = run("completions", shell).stdout

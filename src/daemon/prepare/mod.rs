@@ -106,7 +106,9 @@ pub(crate) fn run(args: &PrepareArgs) -> Result<(), PrepareError> {
         .map_err(|error| PrepareError::Build { path: args.config.clone(), error })?;
     bars.finish();
     let name = match request.name.as_str() {
-        "unnamed" => args.mesh.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+        sutura_transport::UNNAMED => {
+            args.mesh.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+        }
         name => name.to_owned(),
     };
     let body = body(name, &artifacts);

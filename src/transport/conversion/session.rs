@@ -34,7 +34,7 @@ pub(crate) struct UploadedFile {
 }
 
 /// A session's name if its client gave none.
-const UNNAMED: &str = "unnamed";
+pub const UNNAMED: &str = "unnamed";
 
 /// Parses and checks an upload. Takes as long as its bytes are many: for the query pool.
 pub(crate) fn create(upload: Upload, limits: &MeshLimits) -> Result<CreateSession, Problem> {
