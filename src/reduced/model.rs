@@ -3,15 +3,19 @@
 
 use crate::dense::{self, vectorized};
 use crate::frame::FreeBody;
-use crate::material::{Elasticity, Hyperelastic, Law, Mat3};
+use crate::material::{Elasticity, Hyperelastic, Law, Mat3, Mat9};
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::{Accum, Mat, MatRef, Par};
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Points that one task works on where a rule has many: with every tet in it, the stiffness of all
 /// points at once would take hundreds of megabytes.
 const POINTS_PER_TASK: usize = 256;
+
+/// Points whose response ∂P/∂F·G is held at a time: it stays in the processor's cache.
+const POINTS_PER_BLOCK: usize = 64;
 
 /// Columns of the basis are worked on so many at a time; tables are padded to a multiple of it.
 const LANES: usize = 8;
@@ -322,63 +326,47 @@ impl ReducedModel {
             force: vec![0.0; q.len()],
             stiffness: if with_stiffness { Mat::zeros(r, r) } else { Mat::zeros(0, 0) },
         };
-        let n_response = if with_stiffness { 9 * points.len() } else { 0 };
+        let n_block = POINTS_PER_BLOCK.min(points.len());
+        let n_response = if with_stiffness { 9 * n_block } else { 0 };
         let mut response = Mat::<f64>::zeros(q.len(), n_response);
-        for (p, point) in points.iter().enumerate() {
-            let g: [&[f64]; 9] = std::array::from_fn(|k| column_of(gradients, 9 * p + k));
-            let d = vectorized(
-                #[inline(always)]
-                || g.map(|g| inner(g, q)),
-            );
-            let d = Mat3::from_fn(|i, j| d[3 * i + j]);
-            sums.energy_j += point.weight_m3 * point.elasticity.energy_density(&d);
-            let stress = point.elasticity.stress(&d) * point.weight_m3;
-            let stress: [f64; 9] = std::array::from_fn(|k| stress[(k / 3, k % 3)]);
-            vectorized(
-                #[inline(always)]
-                || combine(&mut sums.force, &g, &stress),
-            );
-            if with_stiffness {
-                let mut c = point.elasticity.stress_derivative(&d);
-                c.iter_mut().flatten().for_each(|c| *c *= point.weight_m3);
-                let rows = q.len();
-                let out = &mut response.as_mut().subcols_mut(9 * p, 9);
+        for (block, points) in points.chunks(POINTS_PER_BLOCK).enumerate() {
+            let gradients = gradients.subcols(9 * POINTS_PER_BLOCK * block, 9 * points.len());
+            for (p, point) in points.iter().enumerate() {
+                let g: [&[f64]; 9] = std::array::from_fn(|k| column_of(gradients, 9 * p + k));
+                let d = vectorized(
+                    #[inline(always)]
+                    || g.map(|g| inner(g, q)),
+                );
+                let d = Mat3::from_fn(|i, j| d[3 * i + j]);
+                sums.energy_j += point.weight_m3 * point.elasticity.energy_density(&d);
+                let stress = point.elasticity.stress(&d) * point.weight_m3;
+                let stress: [f64; 9] = std::array::from_fn(|k| stress[(k / 3, k % 3)]);
                 vectorized(
                     #[inline(always)]
-                    || {
-                        for block in (0..rows).step_by(LANES) {
-                            let x: [[f64; LANES]; 9] =
-                                std::array::from_fn(|k| lanes(&g[k][block..]));
-                            for (i, c) in c.iter().enumerate() {
-                                let mut sum = [0.0; LANES];
-                                for k in 0..9 {
-                                    for lane in 0..LANES {
-                                        sum[lane] += c[k] * x[k][lane];
-                                    }
-                                }
-                                for lane in 0..LANES {
-                                    out[(block + lane, i)] = sum[lane];
-                                }
-                            }
-                        }
-                    },
+                    || combine(&mut sums.force, &g, &stress),
+                );
+                if with_stiffness {
+                    let mut c = point.elasticity.stress_derivative(&d);
+                    c.iter_mut().flatten().for_each(|c| *c *= point.weight_m3);
+                    respond(&mut response, 9 * p, &g, &c);
+                }
+            }
+            if with_stiffness {
+                let response = response.subcols(0, 9 * points.len());
+                triangular::matmul(
+                    sums.stiffness.as_mut(),
+                    BlockStructure::TriangularLower,
+                    Accum::Add,
+                    gradients.subrows(0, r),
+                    BlockStructure::Rectangular,
+                    response.subrows(0, r).transpose(),
+                    BlockStructure::Rectangular,
+                    1.0,
+                    Par::Seq,
                 );
             }
         }
         sums.force.truncate(r);
-        if with_stiffness && !points.is_empty() {
-            triangular::matmul(
-                sums.stiffness.as_mut(),
-                BlockStructure::TriangularLower,
-                Accum::Replace,
-                gradients.subrows(0, r),
-                BlockStructure::Rectangular,
-                response.subrows(0, r).transpose(),
-                BlockStructure::Rectangular,
-                1.0,
-                Par::Seq,
-            );
-        }
         sums
     }
 
@@ -428,6 +416,48 @@ fn set_gradients(mut to: faer::MatMut<'_, f64>, shape: &[[f64; 3]; 4], rows: Mat
     }
 }
 
+/// C·G of one point, into nine columns from `first` on.
+fn respond(response: &mut Mat<f64>, first: usize, g: &[&[f64]; 9], c: &Mat9) {
+    let rows = response.nrows();
+    let mut out = response.as_mut().subcols_mut(first, 9);
+    let mut columns: [&mut [f64]; 9] = std::array::from_fn(|_| &mut [][..]);
+    for (to, column) in columns.iter_mut().zip(out.as_mut().col_iter_mut()) {
+        if let Some(column) = column.try_as_col_major_mut() {
+            *to = column.as_slice_mut();
+        }
+    }
+    pulp::Arch::new().dispatch(Response { rows, g, c, columns: &mut columns });
+}
+
+struct Response<'a, 'b> {
+    rows: usize,
+    g: &'a [&'a [f64]; 9],
+    c: &'a Mat9,
+    columns: &'a mut [&'b mut [f64]; 9],
+}
+
+impl WithSimd for Response<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Response { rows, g, c, columns } = self;
+        for part in 0..rows / S::F64_LANES {
+            let mut x = [simd.splat_f64s(0.0); 9];
+            for k in 0..9 {
+                x[k] = S::as_simd_f64s(g[k]).0[part];
+            }
+            for i in 0..9 {
+                let mut sum = simd.mul_f64s(simd.splat_f64s(c[i][0]), x[0]);
+                for k in 1..9 {
+                    sum = simd.mul_add_f64s(simd.splat_f64s(c[i][k]), x[k], sum);
+                }
+                S::as_mut_simd_f64s(columns[i]).0[part] = sum;
+            }
+        }
+    }
+}
+
 pub(crate) struct Sums {
     pub(crate) energy_j: f64,
     pub(crate) force: Vec<f64>,
@@ -462,13 +492,18 @@ fn inner(x: &[f64], y: &[f64]) -> f64 {
 #[inline(always)]
 fn combine(y: &mut [f64], x: &[&[f64]; 9], s: &[f64; 9]) {
     for (block, y) in y.chunks_exact_mut(LANES).enumerate() {
-        let mut sum = lanes(y);
-        for k in 0..9 {
-            let x = lanes(&x[k][LANES * block..]);
-            for lane in 0..LANES {
-                sum[lane] += s[k] * x[lane];
-            }
-        }
+        let sum = combined(lanes(y), block, x, s);
         y.copy_from_slice(&sum);
     }
+}
+
+#[inline(always)]
+fn combined(mut sum: [f64; LANES], block: usize, x: &[&[f64]; 9], s: &[f64; 9]) -> [f64; LANES] {
+    for k in 0..9 {
+        let x = lanes(&x[k][LANES * block..]);
+        for lane in 0..LANES {
+            sum[lane] += s[k] * x[lane];
+        }
+    }
+    sum
 }

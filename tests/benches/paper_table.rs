@@ -13,6 +13,7 @@ mod measure;
 mod paper;
 mod peers;
 mod pictures;
+mod reduced;
 mod references;
 mod report;
 mod results;
@@ -59,6 +60,10 @@ struct Arguments {
     /// How good rebuilt bases are, instead of what they take: accuracy.json, accuracy.md and a picture.
     #[arg(long)]
     accuracy: bool,
+    /// What the reduced model of the first body takes to evaluate and to step, instead: so many steps of 1 ms
+    /// under random pulls for each material law.
+    #[arg(long, value_name = "STEPS")]
+    reduced: Option<usize>,
     /// What peers/peers.py wrote.
     #[arg(long)]
     peers: Option<PathBuf>,
@@ -117,6 +122,12 @@ fn run(arguments: &Arguments) -> Result<ExitCode, Failure> {
         let name = plan.bodies.first().ok_or("which body?")?;
         let answer = plan.part(part, name)?;
         serde_json::to_writer(std::io::stdout().lock(), &answer)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    if let Some(n_steps) = arguments.reduced {
+        let name = plan.bodies.first().ok_or("which body?")?;
+        let body = bodies::Body::load(&plan.meshes, name)?;
+        reduced::run(&body, n_steps, &mut std::io::stdout().lock())?;
         return Ok(ExitCode::SUCCESS);
     }
     std::fs::create_dir_all(&arguments.out)?;
