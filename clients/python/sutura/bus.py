@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from types import TracebackType
 from typing import Any
@@ -33,8 +34,18 @@ _URGENT = ("edits", "info")
 class ZenohClient:
     """The daemons of a Zenoh network. A context manager, or ``close`` it."""
 
-    def __init__(self, endpoint: str = DEFAULT_ENDPOINT, config: zenoh.Config | None = None) -> None:
-        """Connect as a client to ``endpoint``, scouting off; or as ``config`` says."""
+    def __init__(
+        self,
+        endpoint: str = DEFAULT_ENDPOINT,
+        config: zenoh.Config | None = None,
+        *,
+        api_key: str | None = None,
+    ) -> None:
+        """Connect as a client to ``endpoint``, scouting off; or as ``config`` says.
+
+        ``api_key``, or else the one in SUTURA_KEY, is shown with every query and publication.
+        """
+        self._api_key = api_key or os.environ.get("SUTURA_KEY")
         if config is None:
             config = zenoh.Config()
             for key, value in {
@@ -52,7 +63,7 @@ class ZenohClient:
 
     def session(self, id: str) -> BusSession:
         """The session named ``id``, whether or not it exists."""
-        return BusSession(self._zenoh_session, id)
+        return BusSession(self._zenoh_session, id, self._api_key)
 
     def sessions(self) -> list[SessionInfo]:
         """Every session of every daemon on the network."""
@@ -60,6 +71,7 @@ class ZenohClient:
             f"{_PREFIX}/sessions/*/info",
             timeout=_QUERY_TIMEOUT_S,
             consolidation=zenoh.ConsolidationMode.NONE,
+            attachment=self._api_key,
         )
         samples = (reply.ok for reply in replies)
         found = [read(SessionInfo, _json(s.payload)) for s in samples if s is not None]
@@ -91,9 +103,10 @@ class ZenohClient:
 class BusSession(AnySession):
     """A session, reached over Zenoh."""
 
-    def __init__(self, zenoh_session: zenoh.Session, id: str) -> None:
+    def __init__(self, zenoh_session: zenoh.Session, id: str, api_key: str | None = None) -> None:
         """Name the session ``id``, whether or not it exists."""
         super().__init__(id)
+        self._api_key = api_key
         self._zenoh_session = zenoh_session
 
     def _key(self, resource: str) -> str:
@@ -109,6 +122,7 @@ class BusSession(AnySession):
                 payload=payload,
                 encoding=None if payload is None else _JSON,
                 priority=zenoh.Priority.DATA if urgent else zenoh.Priority.DATA_LOW,
+                attachment=self._api_key,
             )
             # Every daemon is asked; those that do not have the session say so (404). No daemon at all
             # ends the replies at once.
@@ -141,6 +155,7 @@ class BusSession(AnySession):
                 congestion_control=zenoh.CongestionControl.DROP,
                 priority=zenoh.Priority.REAL_TIME,
                 express=True,
+                attachment=self._api_key,
             )
         except zenoh.ZError as error:
             raise ConnectionFailedError(f"Zenoh: {error}") from error

@@ -63,7 +63,8 @@ class Client:
     ) -> None:
         """Ask the daemon at ``url`` whether it is there.
 
-        Without ``url`` the one that the variable SUTURA_SERVER names, or else the one on this machine.
+        Without ``url`` the one that the variable SUTURA_SERVER names, or else the one on this machine;
+        without ``api_key`` the key in SUTURA_KEY, if there is one.
         ``api_key`` is sent as a bearer token; ``timeout_s`` bounds the wait for each answer.
         """
         url = url or os.environ.get("SUTURA_SERVER") or DEFAULT_URL
@@ -71,6 +72,7 @@ class Client:
         if parts.scheme not in ("http", "https") or not parts.hostname:
             raise ValueError(f"{url!r} is not the address of a daemon, such as {DEFAULT_URL}")
         self._base = url.rstrip("/")
+        api_key = api_key or os.environ.get("SUTURA_KEY")
         self.headers = {} if api_key is None else {"authorization": f"Bearer {api_key}"}
         self.is_proxied = parts.hostname not in _LOOPBACK
         self._http = self._connect(timeout_s)

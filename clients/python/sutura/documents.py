@@ -39,7 +39,7 @@ class SessionInfo(Document):
     id: str
     name: str | None
     state: str
-    """``building``, ``ready``, ``rebuilding`` or ``failed``."""
+    """``building``, ``ready``, ``rebuilding`` or ``failed``; ``stored`` or ``restoring`` on disk."""
     stage: str | None
     progress: float
     generation: int

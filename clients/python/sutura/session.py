@@ -23,6 +23,11 @@ if TYPE_CHECKING:
 import numpy as np
 import numpy.typing as npt
 
+# States that end by themselves.
+_COMING = ("building", "restoring")
+# Longest time that one request may wait for a body to be restored.
+_RESTORE_WAIT_S = "60"
+
 
 class Session(AnySession):
     """A session, reached over HTTP."""
@@ -52,6 +57,8 @@ class Session(AnySession):
     ) -> SessionInfo:
         """Wait until the build has ended; raises BuildFailedError if it failed, TimeoutError if late.
 
+        A body that is kept on disk is restored.
+
         ``progress`` shows bars, or is told every event.
         """
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
@@ -63,13 +70,17 @@ class Session(AnySession):
                     for event in events:
                         on_event(event)
                         _left(deadline)
-                        if not (event.event == "stage" or event.state == "building"):
+                        if not (event.event == "stage" or event.state in _COMING):
                             break
                 info = self.info()
                 if info.state == "failed":
                     unknown = Problem("about:blank", "The build failed", 422, "no reason is given")
                     raise BuildFailedError(info.error or unknown)
-                if info.state != "building":
+                if info.state == "stored":
+                    # Asking for it with patience has it restored.
+                    params = {"wait_s": _RESTORE_WAIT_S}
+                    self._client.document("GET", self._path(), params=params)
+                elif info.state not in _COMING:
                     return info
         finally:
             if bars is not None:
