@@ -25,7 +25,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let out = PathBuf::from(std::env::var_os("OUT_DIR").ok_or("cargo sets OUT_DIR")?);
     let dist = web.join("dist");
     if let Err(error) = make_current(&web, &dist) {
-        println!("cargo::warning=the daemon is built without its viewer: {error}");
+        println!("cargo::warning=the viewer could not be built: {error}");
         println!("cargo::warning=run `npm ci && npm run build` in clients/web and build again");
         // Tells cargo when somebody has made it.
         fs::create_dir_all(&dist)?;

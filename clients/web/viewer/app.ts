@@ -406,16 +406,12 @@ export class App {
     return held
   }
 
-  /** Starts the simulation with gravity in m/s² downwards, or changes it. */
-  async simulate(
-    gravity: number,
-    integrator: NonNullable<SimulationConfig['integrator']>,
-  ): Promise<boolean> {
+  /** Starts the simulation, or changes it. */
+  async simulate(config: SimulationConfig): Promise<boolean> {
     const body = this.body.value
     if (!body) return false
     try {
-      const gravity_m_s2: [number, number, number] = [0, -gravity, 0]
-      await body.session.simulate({ dt_s: 0.005, publish_hz: 60, gravity_m_s2, integrator })
+      await body.session.simulate({ dt_s: 0.005, publish_hz: 60, ...config })
       this.isSimulating.value = true
       return true
     } catch (error) {

@@ -70,9 +70,10 @@ export class Motion {
   readonly pullForce = new Signal<number | undefined>(undefined)
   /** How hard the pointer pulls. */
   pullStrength = 1
-  /** Gravity in m/s² of a simulation that a pull starts. */
+  /** Gravity in m/s², downwards on the screen. */
   gravity = 0
-  /** Its integrator. */
+  /** Whether there is a floor below the body. */
+  hasFloor = false
   integrator: NonNullable<SimulationConfig['integrator']> = 'implicit_newmark'
 
   #stream: StateStream | undefined
@@ -97,6 +98,22 @@ export class Motion {
     })
     window.addEventListener('pagehide', () => this.endPull())
     stage.onFrame = (seconds) => this.#swing(seconds)
+  }
+
+  /** Starts the simulation, or changes it. */
+  simulate(): Promise<boolean> {
+    const { point, up } = this.stage.floor()
+    const gravity_m_s2 = up.clone().multiplyScalar(-this.gravity).toArray()
+    const plane = { point_m: point.toArray(), normal: up.toArray() }
+    const obstacles = this.hasFloor ? [{ plane }] : []
+    return this.app.simulate({ gravity_m_s2, obstacles, integrator: this.integrator })
+  }
+
+  /** Puts a floor below the body, or takes it away. */
+  setFloor(there: boolean): void {
+    this.hasFloor = there
+    this.stage.showFloor(there)
+    if (this.app.isSimulating.value) void this.simulate()
   }
 
   /** Amplitudes of the modes, each from 0 to 1. */
@@ -153,7 +170,7 @@ export class Motion {
     this.#pull = pull
     try {
       if (!this.#models && !this.app.isSimulating.value) {
-        if (!(await this.app.simulate(this.gravity, this.integrator))) return this.endPull()
+        if (!(await this.simulate())) return this.endPull()
       }
       const compliance = (await this.#staticModel(body)).compliance(row)
       pull.stiffness = 1 / Math.max(compliance, 1e-12)

@@ -26,6 +26,7 @@ export interface Marks {
 /** One body on the stage, at some coordinates. */
 class Actor {
   readonly scene = new three.Scene()
+  floor: three.GridHelper | undefined
   readonly deformation: Deformation
   readonly drawing: Drawing
   #q: ArrayLike<number> = []
@@ -64,6 +65,7 @@ class Actor {
   }
 
   dispose(): void {
+    this.floor?.dispose()
     this.deformation.dispose()
     this.drawing.dispose()
   }
@@ -91,6 +93,7 @@ export class Stage {
   #palette: Palette
   #marks: Marks = { pairs: true, cubature: false, held: false, displacement: false }
   #pairState: (pair: number) => PairState = () => PairState.Open
+  #hasFloor = false
   #isRequested = false
   #lastFrame = 0
 
@@ -221,6 +224,38 @@ export class Stage {
     controls.dampingFactor = 0.12
     controls.addEventListener('change', () => this.invalidate())
     return controls
+  }
+
+  /** Where a floor would be: just below the body at rest, as it was looked at last. */
+  floor(): { point: three.Vector3; up: three.Vector3 } {
+    const up = this.#camera.up.clone()
+    if (!this.#body) return { point: new three.Vector3(), up }
+    const { low, centre, diagonal } = bounds(this.#body.current.positions)
+    const point = new three.Vector3(...centre)
+    const lowest = new three.Vector3(...low).dot(up) - 0.02 * diagonal
+    return { point: point.addScaledVector(up, lowest - point.dot(up)), up }
+  }
+
+  /** Draws the floor, or no longer. */
+  showFloor(show: boolean): void {
+    this.#hasFloor = show
+    for (const actor of [this.#actor, this.#other]) if (actor) this.#layFloor(actor)
+    this.invalidate()
+  }
+
+  #layFloor(actor: Actor): void {
+    actor.floor?.removeFromParent()
+    actor.floor?.dispose()
+    actor.floor = undefined
+    if (!this.#hasFloor || !this.#body) return
+    const { point, up } = this.floor()
+    const grid = new three.GridHelper(2 * this.#body.diagonal, 20, this.#palette.held, this.#palette.held)
+    grid.material.transparent = true
+    grid.material.opacity = 0.35
+    grid.quaternion.setFromUnitVectors(new three.Vector3(0, 1, 0), up)
+    grid.position.copy(point)
+    actor.floor = grid
+    actor.scene.add(grid)
   }
 
   /** How far the camera must be for a sphere of this diameter to fit, nearly. */
@@ -404,6 +439,7 @@ export class Stage {
   }
 
   #dress(actor: Actor, data: GenerationData): void {
+    this.#layFloor(actor)
     actor.drawing.setPalette(this.#palette, Math.min(window.devicePixelRatio, 2))
     actor.drawing.showPairs(this.#marks.pairs)
     actor.drawing.showDisplacement(this.#marks.displacement)

@@ -21,7 +21,7 @@ export function motionPanel(app: App, motion: Motion, tools: Tools): HTMLElement
     () =>
       void (app.isSimulating.value
         ? app.stopSimulation()
-        : app.simulate(motion.gravity, motion.integrator)),
+        : motion.simulate()),
     { id: 'simulate' },
   )
   app.isSimulating.subscribe((running) => {
@@ -38,12 +38,17 @@ export function motionPanel(app: App, motion: Motion, tools: Tools): HTMLElement
     '0',
     (value) => {
       motion.gravity = Number(value)
-      if (app.isSimulating.value) void app.simulate(motion.gravity, motion.integrator)
+      if (app.isSimulating.value) void motion.simulate()
     },
   )
   const integrator = choice(INTEGRATORS, 'implicit_newmark', (value) => {
     motion.integrator = value
-    if (app.isSimulating.value) void app.simulate(motion.gravity, motion.integrator)
+    if (app.isSimulating.value) void motion.simulate()
+  })
+  const floor = element('input', {
+    type: 'checkbox',
+    id: 'floor',
+    on: { change: () => motion.setFloor(floor.checked) },
   })
   const strength = element('input', {
     type: 'range',
@@ -65,6 +70,7 @@ export function motionPanel(app: App, motion: Motion, tools: Tools): HTMLElement
     true,
     element('div', { className: 'row' }, toggle, pull),
     element('div', { className: 'grid' }, field('Gravity', gravity), field('Integrator', integrator)),
+    element('label', { className: 'check' }, floor, 'A floor below the body'),
     field('Strength of the pull', strength),
     force,
   )

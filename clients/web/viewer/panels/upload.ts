@@ -21,7 +21,7 @@ const LAWS = [
 ] as const satisfies readonly (readonly [components['schemas']['MaterialLaw'], string])[]
 
 const HOLDS = {
-  none: 'Nothing yet',
+  none: 'Nothing: it floats',
   'x-low': 'Its end at the lowest x',
   'x-high': 'Its end at the highest x',
   'y-low': 'Its end at the lowest y',
