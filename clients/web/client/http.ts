@@ -116,14 +116,17 @@ export class Client {
     return response
   }
 
-  /** Address and sub-protocols of a WebSocket, and what makes it. */
-  socket(path: string): [url: string, protocols: string[], Constructor: SocketConstructor] {
+  /** The address of a WebSocket, and what makes it. */
+  socket(path: string): [url: string, Constructor: SocketConstructor] {
     const Constructor =
       this.#options.WebSocket ??
       (globalThis as { WebSocket?: SocketConstructor }).WebSocket
     if (Constructor === undefined) {
       throw new Error('there is no WebSocket here: pass one to the Client')
     }
-    return [this.#base.replace(/^http/, 'ws') + path, [], Constructor]
+    // Browsers send no header of ours with a WebSocket.
+    const { key } = this.#options
+    const shown = key ? `?access_token=${encodeURIComponent(key)}` : ''
+    return [this.#base.replace(/^http/, 'ws') + path + shown, Constructor]
   }
 }

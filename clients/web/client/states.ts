@@ -14,8 +14,8 @@ export interface Socket {
   addEventListener(type: 'error' | 'close', listener: () => void): void
 }
 
-/** Makes a WebSocket; some servers want sub-protocols. */
-export type SocketConstructor = new (url: string, protocols?: string[]) => Socket
+/** Makes a WebSocket. */
+export type SocketConstructor = new (url: string) => Socket
 
 /** States as they arrive: an asynchronous iterable that ends with the connection. */
 export class StateStream implements AsyncIterable<StateFrame> {
@@ -27,13 +27,13 @@ export class StateStream implements AsyncIterable<StateFrame> {
   /** States dropped here because nobody took them in time. */
   nDropped = 0
 
-  constructor(url: string, protocols: string[], Constructor: SocketConstructor) {
-    this.#socket = new Constructor(url, protocols)
+  constructor(url: string, Constructor: SocketConstructor) {
+    this.#socket = new Constructor(url)
     this.#socket.binaryType = 'arraybuffer'
     this.#socket.addEventListener('message', ({ data }) => {
       if (data instanceof ArrayBuffer) this.#receive(data)
     })
-    this.#socket.addEventListener('error', () => this.#end(new Error(`no stream from ${url}`)))
+    this.#socket.addEventListener('error', () => this.#end(new Error(`no stream from ${url.split('?')[0]}`)))
     this.#socket.addEventListener('close', () => this.#end())
   }
 

@@ -57,6 +57,21 @@ test('a build tells of its stages and ends ready', async () => {
   await assert.rejects(fork.info(), (error) => error instanceof ProblemError && error.status === 404)
 })
 
+test('a key goes along with streams, which take no header', () => {
+  const asked = []
+  class WebSocket {
+    constructor(url) {
+      asked.push(url)
+    }
+    addEventListener() {}
+    close() {}
+  }
+  new Client('http://daemon:1/', { key: 'k-1', WebSocket }).session('a').states()
+  new Client('https://daemon', { WebSocket }).session('a').states()
+  const path = '/v1/sessions/a/stream'
+  assert.deepEqual(asked, [`ws://daemon:1${path}?access_token=k-1`, `wss://daemon${path}`])
+})
+
 test('a mesh of two files is read', async () => {
   const files = ['two_boxes.node', 'two_boxes.ele'].map((name) => ({
     name,

@@ -262,6 +262,8 @@ function keyDialog(): HTMLElement {
     element('div', { className: 'row end' }, element('button', { className: 'primary' }, 'Use it')),
   )
   const dialog = element('dialog', { attributes: { 'aria-label': 'Key' } }, form)
+  // Without a key there is nothing to go back to.
+  dialog.addEventListener('cancel', (event) => event.preventDefault())
   app.needsKey.subscribe((needed) => {
     if (needed && !dialog.open) dialog.showModal()
   })
