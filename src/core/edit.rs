@@ -254,6 +254,45 @@ impl EditState {
         }
     }
 
+    /// A state that was taken apart before, checked again as far as anything could fail by it.
+    pub fn from_parts(
+        mesh: Arc<TetMesh>,
+        fixed_vertices: BTreeSet<u32>,
+        stiffness_factors: BTreeMap<i64, f64>,
+        stitches: Vec<Stitch>,
+        next_id: StitchId,
+    ) -> Result<EditState, EditError> {
+        let n_vertices = mesh.vertices().len();
+        if let Some(&vertex) = fixed_vertices.iter().find(|v| **v as usize >= n_vertices) {
+            let (edit, kind, position) = (0, EditKind::Fix, 0);
+            return Err(EditError::VertexOutOfRange { edit, kind, position, vertex, n_vertices });
+        }
+        let mut state = EditState {
+            base: BaseState { mesh, fixed_vertices, stiffness_factors: BTreeMap::new() },
+            stitches: Vec::new(),
+            next_id,
+        };
+        for (domain, factor) in stiffness_factors {
+            state.scale_stiffness(0, domain, factor)?;
+        }
+        let mut names = BTreeSet::new();
+        for (position, stitch) in stitches.iter().enumerate() {
+            let (edit, kind, id) = (0, EditKind::Stitch, stitch.id);
+            check_ends(edit, kind, position, stitch.pair, &state.base)?;
+            check_stiffness(edit, kind, stitch.stiffness_n_m)?;
+            if id >= next_id || !names.insert(id) {
+                return Err(EditError::UnknownStitch { edit, kind, position, id });
+            }
+        }
+        state.stitches = stitches;
+        Ok(state)
+    }
+
+    /// The name that the next stitch will get.
+    pub fn next_id(&self) -> StitchId {
+        self.next_id
+    }
+
     /// What takes a factorization of its own.
     pub fn base(&self) -> &BaseState {
         &self.base

@@ -2,7 +2,7 @@
 
 use super::certificate::{Certificate, Verdict};
 use super::close::ClosingReport;
-use super::params::BuildParams;
+use super::params::{BuildParams, Method};
 use crate::assembly::FullModel;
 use crate::assembly::mass::Mass;
 use crate::assembly::sparse::BlockMatrix;
@@ -15,7 +15,7 @@ use crate::linalg;
 use crate::mesh::TetMesh;
 use crate::modes::AuditedSpectrum;
 use crate::modes::low_rank::MassInverse;
-use crate::modes::seams::Seams;
+use crate::modes::seams::{SeamRecipe, Seams};
 use crate::modes::stitched::StitchMatrix;
 use crate::reduced::contact::{Contact, ContactSurface};
 use crate::reduced::{self, Evaluation, EvaluatorTables, ReducedModel, VertexRows};
@@ -112,12 +112,29 @@ impl Prepared {
     }
 }
 
+/// How a generation came about, beside its state ([`super::Recipe`]).
+pub(super) struct Origin {
+    pub(super) method: Option<Method>,
+    pub(super) tolerance: f64,
+    pub(super) reuse: Option<(Rule, f64)>,
+    pub(super) seams: Arc<SeamRecipe>,
+    pub(super) skipped: Vec<bool>,
+}
+
+impl Origin {
+    /// Of a body as it was built.
+    pub(super) fn built(skipped: Vec<bool>) -> Origin {
+        Origin { method: None, tolerance: 0.0, reuse: None, seams: Arc::default(), skipped }
+    }
+}
+
 /// One generation of a prepared body. Immutable; shared by `Arc`.
 pub struct Artifacts {
     pub(super) prepared: Arc<Prepared>,
     /// Base bodies of generations before this one, the latest first.
     pub(super) earlier: Vec<Weak<Prepared>>,
     pub(super) state: EditState,
+    pub(super) origin: Origin,
     /// By the edits that made this generation.
     pub(super) closings: Vec<ClosingReport>,
     pub(super) n_rigid_modes: usize,

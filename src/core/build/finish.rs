@@ -1,7 +1,7 @@
 //! The second half of every build and rebuild: basis, cubature, reduced model.
 
 use super::StageClock;
-use super::artifacts::{Artifacts, CubatureReport, CubatureSource, Prepared};
+use super::artifacts::{Artifacts, CubatureReport, CubatureSource, Origin, Prepared};
 use super::certificate::Verdict;
 use super::params::{BuildError, CubatureParams};
 use super::span::{Span, Subspace};
@@ -114,6 +114,7 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
     );
     clock.finish(Stage::Reduction)?;
     Ok(Artifacts {
+        origin: Origin::built(clock.skipped),
         closings: Vec::new(),
         earlier: Vec::new(),
         n_rigid_modes: draft.n_rigid_modes,

@@ -9,6 +9,7 @@ mod combination;
 mod derive;
 mod finish;
 mod params;
+mod recipe;
 mod seams;
 mod span;
 mod spectrum;
@@ -18,18 +19,21 @@ mod update;
 pub use crate::assembly::mass::MassKind;
 pub use crate::basis::PcaMethod;
 pub use crate::cubature::Selection;
+pub use crate::modes::seams::SeamRecipe;
 pub use crate::reduced::RayleighDamping;
 pub use artifacts::{Artifacts, CubatureReport, CubatureSource};
 pub use certificate::{Certificate, Verdict};
 pub use close::{ClosedPair, ClosingReport};
 pub use combination::{BasisCombination, BlockName};
 pub use params::{BuildError, BuildParams, CubatureParams, Method, RebuildParams};
+pub use recipe::{Recipe, remake};
 pub use seams::{check_seams, prepare_seams};
 pub use transfer::BasisDelta;
 
 use crate::assembly::FullModel;
 use crate::assembly::sparse::Pattern;
 use crate::control::{self, Cancelled, Control, Stage};
+use crate::cubature::Rule;
 use crate::derivatives::{LOAD_CASE_TOLERANCE, SOLVE_TOLERANCE};
 use crate::dictionary::Block;
 use crate::edit::{BaseState, Edit, EditState, StitchId};
@@ -39,14 +43,14 @@ use crate::modes::load_cases::LoadCases;
 use crate::modes::seams::{BaseModes, Seams};
 use crate::modes::stitched::{StitchMatrix, StitchedStiffness};
 use crate::modes::{AuditedSpectrum, LinearModes, rigid};
-use artifacts::{Prepared, SeamCache};
+use artifacts::{Origin, Prepared, SeamCache};
 use base::base_for;
 use close::closed_shape;
 use derive::{Body, new_derivatives};
 use finish::{Draft, finish};
 use span::{DerivativeSet, Span};
 use spectrum::{Spectrum, lowest_spectrum};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, OnceLock, Weak};
 use std::time::Duration;
 
 /// Measures stages with the caller's clock.
@@ -57,6 +61,10 @@ struct StageClock<'a> {
     deadline: Option<Duration>,
     /// Something was left undone for the deadline's sake.
     is_unfinished: bool,
+    /// What was decided before, where it is to be decided again in the same way.
+    decided: Option<std::vec::IntoIter<bool>>,
+    /// What the deadline was found to leave time for, in order.
+    skipped: Vec<bool>,
     timings: Vec<(Stage, Duration)>,
 }
 
@@ -67,6 +75,8 @@ impl<'a> StageClock<'a> {
             last: control.now(),
             deadline: None,
             is_unfinished: false,
+            decided: None,
+            skipped: Vec::new(),
             timings: Vec::new(),
         }
     }
@@ -74,7 +84,12 @@ impl<'a> StageClock<'a> {
     /// Whether there is no time for something that would only improve the answer and takes about
     /// `estimate`. If so, the answer remains unfinished.
     fn skips(&mut self, estimate: Duration) -> bool {
-        let skips = self.deadline.is_some_and(|deadline| self.control.now() + estimate >= deadline);
+        let skips = match (&mut self.decided, self.deadline) {
+            (Some(decided), _) => decided.next().unwrap_or(false),
+            (None, Some(deadline)) => self.control.now() + estimate >= deadline,
+            (None, None) => return false,
+        };
+        self.skipped.push(skips);
         self.is_unfinished |= skips;
         skips
     }
@@ -244,18 +259,59 @@ pub fn rebuild(
     })?;
     let (base, earlier) = base_for(previous, state.base(), &mut clock)?;
     let reuse = previous.cubature.map(|_| (previous.rule.clone(), previous.trained_error));
-    let draft = match params.method {
+    let plan = Plan {
+        method: params.method,
+        tolerance: params.tolerance,
+        reuse,
+        seams: base.seams(),
+        closings,
+    };
+    Ok((update_base(base, earlier, state, plan, clock)?, ids))
+}
+
+/// How a generation comes from its base body.
+struct Plan {
+    method: Method,
+    tolerance: f64,
+    /// The cubature rule in use, and its validation error when it was trained.
+    reuse: Option<(Rule, f64)>,
+    /// What is prepared.
+    seams: Arc<Seams>,
+    closings: Vec<ClosingReport>,
+}
+
+fn update_base(
+    base: Arc<Prepared>,
+    earlier: Vec<Weak<Prepared>>,
+    state: EditState,
+    plan: Plan,
+    mut clock: StageClock<'_>,
+) -> Result<Artifacts, BuildError> {
+    let Plan { method, tolerance, reuse, seams, closings } = plan;
+    let origin = Origin {
+        method: Some(method),
+        tolerance,
+        reuse: reuse.clone(),
+        seams: seams.recipe().clone(),
+        skipped: Vec::new(),
+    };
+    let draft = match method {
         Method::FromScratch => from_scratch(base, state, &mut clock)?,
         Method::Flexibility => {
-            update::by_flexibility(base, state, reuse, params.tolerance, &mut clock)?
+            update::by_flexibility(base, state, reuse, seams, tolerance, &mut clock)?
         }
         Method::LowRank => update::by_low_rank(base, state, reuse, &mut clock)?,
     };
     let mut made = finish(draft, clock)?;
+    made.origin = Origin { skipped: made.origin.skipped, ..origin };
+    // Time enough is what is assumed where nothing is said.
+    while made.origin.skipped.last() == Some(&false) {
+        made.origin.skipped.pop();
+    }
     made.earlier = earlier;
     made.warnings.extend(closings.iter().map(ClosingReport::warning));
     made.closings = closings;
-    Ok((made, ids))
+    Ok(made)
 }
 
 /// Everything up to the derivatives, from a factorization of the stitched stiffness itself.

@@ -10,7 +10,7 @@ use crate::derivatives::LOAD_CASE_TOLERANCE;
 use crate::edit::Stitch;
 use crate::modes::LinearModes;
 use crate::modes::prepared::PreparedStitches;
-use crate::modes::seams::{BaseModes, Seams};
+use crate::modes::seams::{BaseModes, SeamRecipe, Seams};
 use crate::modes::stitched::StitchedStiffness;
 use std::sync::Arc;
 
@@ -38,7 +38,7 @@ pub fn prepare_seams(
         return Ok(());
     }
     let mut clock = StageClock::start(control);
-    extend(prepared, &missing, body.stitches(), control)?;
+    extend(prepared, &seams, &missing, body.stitches(), control)?;
     clock.finish(Stage::Seams)?;
     Ok(())
 }
@@ -48,18 +48,49 @@ pub fn check_seams(body: &Artifacts, pairs: &[[u32; 2]]) -> Result<(), BuildErro
     params::check_seams(&body.prepared.state, pairs)
 }
 
-/// Adds `pairs` to what is prepared, and load cases of the body with all of them closed, as stiffly as
+/// Adds `pairs` to `seams`, and load cases of the body with all of them closed, as stiffly as
 /// `stitches` tell.
 pub(super) fn extend(
     prepared: &Prepared,
+    seams: &Seams,
     pairs: &[[u32; 2]],
     stitches: &[Stitch],
     control: &dyn Control,
 ) -> Result<Arc<Seams>, BuildError> {
-    let extended = prepared.seams().extended(&base_modes(prepared), pairs, control)?;
+    let extended = seams.extended(&base_modes(prepared), pairs, control)?;
     let stiffest = stitches.iter().map(|s| s.stiffness_n_m).fold(0.0, f64::max);
     let stiffness_n_m = if stiffest > 0.0 { stiffest } else { CLOSING_STIFFNESS_N_M };
     let seams = Arc::new(closed(prepared, &extended, stiffness_n_m, control)?);
+    prepared.offer_seams(seams.clone());
+    Ok(seams)
+}
+
+/// The seams that `recipe` tells of, bit for bit: those that are there if they are the same, or grown from
+/// them, or made anew.
+pub(super) fn remake(
+    prepared: &Prepared,
+    recipe: &SeamRecipe,
+    control: &dyn Control,
+) -> Result<Arc<Seams>, BuildError> {
+    let present = prepared.seams();
+    if **present.recipe() == *recipe {
+        return Ok(present);
+    }
+    let base = base_modes(prepared);
+    let known = &present.recipe().groups;
+    let mut seams = match recipe.groups.starts_with(known) {
+        true => Seams::clone(&present),
+        false => Seams::new(present.cases().first_set()),
+    };
+    let first_new = seams.recipe().groups.len();
+    for group in &recipe.groups[first_new..] {
+        params::check_seams(&prepared.state, group)?;
+        seams = seams.extended(&base, group, control)?;
+    }
+    if recipe.groups.is_empty() {
+        return Ok(Arc::new(seams));
+    }
+    let seams = Arc::new(closed(prepared, &seams, recipe.closing_stiffness_n_m, control)?);
     prepared.offer_seams(seams.clone());
     Ok(seams)
 }
@@ -112,5 +143,5 @@ fn closed(
     let (set, loads) = new_derivatives(&body, &modes, Some(&base), count, control)?;
     let base = base_modes(prepared);
     let cases = seams.cases().first_set().with(&base, modes, loads.as_ref(), set.shapes);
-    Ok(seams.with_cases(&base, cases))
+    Ok(seams.with_cases(&base, cases, stiffness_n_m))
 }

@@ -16,6 +16,7 @@ use crate::edit::EditState;
 use crate::linalg::{self, DenseError};
 use crate::modes::low_rank::{self, MassInverse};
 use crate::modes::prepared::PreparedStitches;
+use crate::modes::seams::Seams;
 use crate::modes::stitched::{StitchMatrix, StitchedStiffness};
 use crate::modes::{self, AuditedSpectrum, LinearModes, flexibility, rigid};
 use faer::{Mat, MatRef};
@@ -31,15 +32,17 @@ const UNEXPLAINED: f64 = 1e-3;
 const PREPARED_ON_THE_WAY: usize = 4;
 
 /// Everything up to the derivatives, to the relative eigenvalue error `tolerance`. `reuse` is the
-/// cubature rule in use.
+/// cubature rule in use, `seams` are what is prepared.
 pub(super) fn by_flexibility(
     prepared: Arc<Prepared>,
     state: EditState,
     reuse: Option<(Rule, f64)>,
+    seams: Arc<Seams>,
     tolerance: f64,
     clock: &mut StageClock<'_>,
 ) -> Result<Draft, BuildError> {
-    let Some((spectrum, n_rigid_modes, span)) = in_seams(&prepared, &state, tolerance, clock)?
+    let Some((spectrum, n_rigid_modes, span)) =
+        in_seams(&prepared, &state, seams, tolerance, clock)?
     else {
         return refined(prepared, state, reuse, Some(tolerance), clock);
     };
@@ -83,10 +86,10 @@ pub(super) fn by_low_rank(
 fn in_seams(
     prepared: &Arc<Prepared>,
     state: &EditState,
+    mut seams: Arc<Seams>,
     tolerance: f64,
     clock: &mut StageClock<'_>,
 ) -> Result<Option<(AuditedSpectrum, usize, Box<PreparedSpan>)>, BuildError> {
-    let mut seams = prepared.seams();
     let stitches = state.stitches();
     let pairs = stitches.iter().map(|s| s.pair);
     let missing: Vec<[u32; 2]> = pairs.filter(|pair| seams.position(*pair).is_none()).collect();
@@ -94,7 +97,7 @@ fn in_seams(
         return Ok(None);
     }
     if !missing.is_empty() {
-        seams = seams::extend(prepared, &missing, stitches, clock.control)?;
+        seams = seams::extend(prepared, &seams, &missing, stitches, clock.control)?;
         clock.finish(Stage::Seams)?;
     }
     let Some(positions) = seams.find(stitches) else { return Ok(None) };

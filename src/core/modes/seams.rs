@@ -54,9 +54,19 @@ impl BaseModes<'_> {
     }
 }
 
+/// What seams are a function of, beside the base body: the bits of the columns too.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SeamRecipe {
+    /// The pairs, ends ascending, by the blocks in which they were prepared, in order.
+    pub groups: Vec<Vec<[u32; 2]>>,
+    /// Stiffness in N/m of the springs that closed the seam for its load cases; 0 before there were any.
+    pub closing_stiffness_n_m: f64,
+}
+
 /// Prepared pairs.
 #[derive(Clone, Debug)]
 pub struct Seams {
+    made_by: Arc<SeamRecipe>,
     /// Position of each pair (its ends ascending) among all.
     positions: BTreeMap<[u32; 2], usize>,
     /// \[S₁ | S₂\] of [`PAIRS_PER_BLOCK`] pairs each (the last of an extension may hold fewer), with
@@ -77,6 +87,7 @@ impl Seams {
     pub fn new(cases: LoadCases) -> Seams {
         let k = cases.on_modes.nrows();
         Seams {
+            made_by: Arc::default(),
             positions: BTreeMap::new(),
             blocks: Vec::new(),
             moments: std::array::from_fn(|_| Mat::zeros(0, 0)),
@@ -91,9 +102,20 @@ impl Seams {
         &self.cases
     }
 
-    /// The same pairs beside other load cases.
-    pub fn with_cases(&self, base: &BaseModes<'_>, cases: LoadCases) -> Seams {
+    /// What these seams are a function of.
+    pub fn recipe(&self) -> &Arc<SeamRecipe> {
+        &self.made_by
+    }
+
+    /// The same pairs beside the load cases of the body that springs of this stiffness close.
+    pub fn with_cases(
+        &self,
+        base: &BaseModes<'_>,
+        cases: LoadCases,
+        closing_stiffness_n_m: f64,
+    ) -> Seams {
         let mut seams = self.clone();
+        Arc::make_mut(&mut seams.made_by).closing_stiffness_n_m = closing_stiffness_n_m;
         seams.cases = cases;
         seams.couplings = no_couplings(&seams.cases);
         for (first, block) in &self.blocks {
@@ -238,6 +260,7 @@ impl Seams {
         for (i, &pair) in pairs.iter().enumerate() {
             self.positions.insert(pair, first + i);
         }
+        Arc::make_mut(&mut self.made_by).groups.push(pairs.to_vec());
         let load = incidence(base.model, pairs);
         let gaps = linalg::concatenate(
             &base.x.map(|x| load.transpose_times(x)).each_ref().map(|x| x.as_ref()),

@@ -1,0 +1,97 @@
+//! What a generation is a function of, so that it can be made again, bit for bit, from the mesh and the
+//! parameters of its build: without the generations before it, and without what the clock and the
+//! work in the background did when it was made first.
+
+use super::artifacts::{Artifacts, Prepared};
+use super::close::ClosingReport;
+use super::params::{BuildError, BuildParams, Method};
+use super::{Plan, StageClock, build, prepare, seams, update_base};
+use crate::control::Control;
+use crate::cubature::Rule;
+use crate::edit::EditState;
+use crate::modes::seams::SeamRecipe;
+use std::sync::{Arc, Weak};
+
+/// Everything that decides about a generation, beside the parameters of its build.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recipe {
+    /// What edits have made of the body.
+    pub state: EditState,
+    /// How the modes followed the edit; `None` for a body as it was built.
+    pub method: Option<Method>,
+    /// Relative eigenvalue error asked for.
+    pub tolerance: f64,
+    /// The cubature rule of the generation before, and its validation error when it was trained.
+    pub reuse: Option<(Rule, f64)>,
+    /// The seams that there were when it was made.
+    pub seams: Arc<SeamRecipe>,
+    /// What was left out for the sake of a deadline, decision by decision.
+    pub skipped: Vec<bool>,
+    /// What the closings among its edits did. The state has their result: they are not done again.
+    pub closings: Vec<ClosingReport>,
+}
+
+impl Artifacts {
+    /// What makes this generation again ([`remake`]).
+    pub fn recipe(&self) -> Recipe {
+        Recipe {
+            state: self.state.clone(),
+            method: self.origin.method,
+            tolerance: self.origin.tolerance,
+            reuse: self.origin.reuse.clone(),
+            seams: self.origin.seams.clone(),
+            skipped: self.origin.skipped.clone(),
+            closings: self.closings.clone(),
+        }
+    }
+}
+
+/// Makes a generation again. A base body that one of `kin` has is not prepared again.
+pub fn remake(
+    params: &BuildParams,
+    recipe: &Recipe,
+    kin: &[Arc<Artifacts>],
+    control: &dyn Control,
+) -> Result<Artifacts, BuildError> {
+    let base_state = recipe.state.base();
+    let Some(method) = recipe.method else {
+        return build(base_state.mesh().clone(), params, control);
+    };
+    check(recipe)?;
+    let mut clock = StageClock::start(control);
+    clock.decided = Some(recipe.skipped.clone().into_iter());
+    let known = || kin.iter().map(|body| &body.prepared).filter(|base| base.params == *params);
+    let base = match known().find(|base| base.state == *base_state) {
+        Some(base) => base.clone(),
+        None => prepare(base_state, params, &mut clock)?.0,
+    };
+    let earlier: Vec<Weak<Prepared>> =
+        known().filter(|other| !Arc::ptr_eq(other, &base)).map(Arc::downgrade).collect();
+    let plan = Plan {
+        method,
+        tolerance: recipe.tolerance,
+        reuse: recipe.reuse.clone(),
+        seams: seams::remake(&base, &recipe.seams, control)?,
+        closings: recipe.closings.clone(),
+    };
+    update_base(base, earlier, recipe.state.clone(), plan, clock)
+}
+
+/// Refuses what could not have been made, so that nothing is indexed beyond its end.
+fn check(recipe: &Recipe) -> Result<(), BuildError> {
+    super::params::check_fraction("tolerance", recipe.tolerance)?;
+    let n_tets = recipe.state.base().mesh().tets().len();
+    let Some((rule, trained_error)) = &recipe.reuse else { return Ok(()) };
+    let refuse = |name, value, rule| Err(BuildError::BadParameter { name, value, rule });
+    if rule.tets.len() != rule.weights.len() {
+        return refuse("cubature weights", rule.weights.len() as f64, "as many as points");
+    }
+    if let Some(tet) = rule.tets.iter().find(|tet| **tet as usize >= n_tets) {
+        return refuse("cubature point", f64::from(*tet), "a tet of the mesh");
+    }
+    let numbers = rule.weights.iter().chain([trained_error]);
+    match numbers.copied().find(|x| !(*x >= 0.0 && x.is_finite())) {
+        Some(value) => refuse("cubature weight", value, "finite and not negative"),
+        None => Ok(()),
+    }
+}
