@@ -319,12 +319,17 @@ pub enum SessionState {
     Ready,
     /// The current generation serves while the next one is being prepared.
     Rebuilding,
-    /// Generation 0 could not be prepared; `error` says why.
+    /// Generation 0 could not be prepared, or what was kept of the body could not be read; `error` says
+    /// why.
     Failed,
+    /// Kept on disk, not in memory. Whatever asks for the body has it restored first.
+    Stored,
+    /// The body is being made again from what is kept of it; requests wait for it.
+    Restoring,
 }
 
 /// A session. Counts that a build has yet to find are 0, and lists empty, while `state` is
-/// `building` or `failed`.
+/// `building` or `failed`, and while the body is not in memory: `stored` or `restoring`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SessionInfo {
     /// The session's identifier.

@@ -16,6 +16,9 @@ use sutura_proto::simulation::{
 };
 use sutura_proto::{Problem, keys, media};
 
+/// Longest time that one request may wait for a body to be restored, in s.
+const RESTORE_WAIT_S: &str = "60";
+
 /// A session, reached over HTTP. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Session {
@@ -41,7 +44,8 @@ impl Session {
         reply::document(self.request(Method::GET, &[])?.send().await?).await
     }
 
-    /// Waits until its build has ended, telling `on_event` how it goes.
+    /// Waits until its build has ended, telling `on_event` how it goes. A body that is kept on disk is
+    /// restored.
     pub async fn wait_ready(&self, mut on_event: impl FnMut(&Event)) -> Result<SessionInfo> {
         loop {
             let mut events = self.events().await?;
@@ -50,14 +54,20 @@ impl Session {
                 on_event(&event);
                 if !matches!(
                     event,
-                    Event::State { state: SessionState::Building, .. } | Event::Stage { .. }
+                    Event::State { state: SessionState::Building | SessionState::Restoring, .. }
+                        | Event::Stage { .. }
                 ) {
                     break;
                 }
             }
             let info = self.info().await?;
             match info.state {
-                SessionState::Building => {}
+                SessionState::Building | SessionState::Restoring => {}
+                SessionState::Stored => {
+                    let mut url = self.client.url(&self.path(&[]))?;
+                    url.query_pairs_mut().append_pair("wait_s", RESTORE_WAIT_S);
+                    reply::accepted(self.client.get(url).send().await?).await?;
+                }
                 SessionState::Ready | SessionState::Rebuilding => return Ok(info),
                 SessionState::Failed => {
                     let unexplained = || Problem {

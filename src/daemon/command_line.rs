@@ -2,7 +2,7 @@
 
 use crate::client::export::ExportArgs;
 use crate::client::{InfoArgs, StitchArgs, WatchArgs};
-use crate::config::{Config, ConfigError, LogFormat, ZenohEndpoint};
+use crate::config::{Config, ConfigError, DataPath, LogFormat, ZenohEndpoint};
 use crate::demo::{DemoArgs, SUBSCRIBER_COMMAND, SubscriberArgs};
 use crate::doctor::DoctorArgs;
 use crate::prepare::PrepareArgs;
@@ -81,6 +81,9 @@ pub(crate) struct ServeArgs {
     /// Endpoint to serve Zenoh on, such as tcp/127.0.0.1:7447; port 0 takes a free one.
     #[arg(long, env = "SUTURA_ZENOH", value_name = "ENDPOINT")]
     pub(crate) zenoh: Option<ZenohEndpoint>,
+    /// Folder to keep sessions in; `none` keeps them in memory alone. Default: sutura-data.
+    #[arg(long, env = "SUTURA_DATA", value_name = "DIR")]
+    pub(crate) data: Option<DataPath>,
     /// What to log, such as `info,sutura_store=debug`.
     #[arg(long, env = "SUTURA_LOG", value_name = "FILTER")]
     pub(crate) log: Option<String>,
@@ -101,6 +104,9 @@ impl ServeArgs {
         }
         if let Some(listen) = self.zenoh {
             config.zenoh.listen = listen;
+        }
+        if let Some(path) = self.data {
+            config.data.path = path;
         }
         if let Some(filter) = self.log {
             config.log.filter = filter;

@@ -4,8 +4,9 @@
 use crate::config::Config;
 use metrics_exporter_prometheus::PrometheusHandle;
 use std::net::SocketAddr;
+use std::sync::Arc;
 use std::time::Duration;
-use sutura_store::{Store, StoreConfig};
+use sutura_store::{LocalFiles, OpenError, StorageError, Store, StoreConfig};
 use sutura_transport::bus::{self, Bus, BusError};
 use sutura_transport::{Gateway, http};
 use tokio::net::TcpListener;
@@ -19,9 +20,15 @@ const CLOSING_GRACE: Duration = Duration::from_secs(2);
 /// Why a daemon could not start.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum StartError {
+    /// The data directory cannot be used.
+    #[error("cannot use the data directory: {0}")]
+    Data(#[from] StorageError),
+    /// The store could not be opened.
+    #[error(transparent)]
+    Store(#[from] OpenError),
     /// The store's threads could not be started.
     #[error("cannot start the worker threads: {0}")]
-    Threads(std::io::Error),
+    Threads(#[from] std::io::Error),
     /// HTTP's address cannot be listened on.
     #[error("cannot listen on {address}: {source}")]
     Http {
@@ -53,7 +60,10 @@ impl Daemon {
         recorder: PrometheusHandle,
     ) -> Result<Daemon, StartError> {
         let store_config = StoreConfig { work: config.work.clone(), limits: config.limits.clone() };
-        let store = Store::new(store_config).map_err(StartError::Threads)?;
+        let store = match &config.data.path.0 {
+            None => Store::new(store_config)?,
+            Some(path) => Store::open(store_config, Arc::new(LocalFiles::open(path)?))?,
+        };
         let gateway = Gateway::new(store.clone(), config.traffic.clone(), recorder);
         let address = config.http.listen;
         let refused = |source| StartError::Http { address, source };
@@ -109,11 +119,13 @@ impl Daemon {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::DataPath;
     use sutura_client::{Client, ZenohClient};
 
     #[tokio::test(flavor = "multi_thread")]
     async fn a_daemon_serves_both_doors_from_its_start_to_its_stop() {
         let mut config = Config::default();
+        config.data.path = DataPath(None);
         config.http.listen.set_port(0);
         config.zenoh.listen.0.set_port(0);
         config.zenoh.daemon = Some("door-keeper".into());

@@ -8,6 +8,7 @@ use crate::live::LiveSession;
 use crate::pool::{CancelFlag, catching};
 use crate::session::{Generation, GenerationRef};
 use crate::store::{PREPARATION, Shared};
+use crate::tasks::keep;
 use std::sync::Arc;
 use sutura_core::build::{Method, RebuildParams, prepare_seams, rebuild};
 use sutura_core::control::Control;
@@ -17,6 +18,25 @@ impl Shared {
     pub(crate) fn follow_up(self: &Arc<Self>, session: &Arc<LiveSession>) {
         self.prepare_seams_later(session);
         self.improve_later(session);
+        self.compact_later(session);
+    }
+
+    /// Shortens the journal of `session` if it has grown long.
+    fn compact_later(self: &Arc<Self>, session: &Arc<LiveSession>) {
+        let n_kept = self.config.work.n_kept_generations.max(1);
+        if !session.journal.as_ref().is_some_and(|journal| journal.is_long(n_kept)) {
+            return;
+        }
+        let live = session.clone();
+        let run = move |_: &CancelFlag| {
+            let Some(journal) = &live.journal else { return };
+            if let Err(error) = catching("shortening a journal", || journal.compact(n_kept)) {
+                tracing::warn!(session = %live.id, %error, "the journal stays long");
+            }
+        };
+        if let Err(error) = self.builds.submit(PREPARATION, None, run) {
+            tracing::debug!(%error, "the journal stays long");
+        }
     }
 
     /// Prepares the pairs that the session names and those that are stitched, as far as the base body
@@ -87,6 +107,10 @@ impl Shared {
                         stitch_ids: Vec::new(),
                         computed_in: control.now(),
                     };
+                    if let Err(error) = keep(&live, &next) {
+                        tracing::warn!(%error, "the improved generation could not be kept");
+                        return;
+                    }
                     tracing::info!(generation = next.number, "generation improved");
                     live.publish_and_follow(Arc::new(next), || ());
                 }

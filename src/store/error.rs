@@ -1,6 +1,7 @@
 //! Every way a call to the store can fail.
 
 use crate::session::{SessionId, SessionState};
+use crate::storage::StorageError;
 use sutura_core::build::BuildError;
 use sutura_core::edit::EditError;
 use sutura_core::reduced::SimulationError;
@@ -75,6 +76,17 @@ pub enum StoreError {
     /// The simulation cannot run.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
+    /// What was to be kept could not be written, or what was kept could not be read.
+    #[error("the data directory failed: {0}")]
+    Storage(#[from] StorageError),
+    /// What was kept of the session is not what was written.
+    #[error("{name} is damaged: {why}")]
+    Damaged {
+        /// The blob.
+        name: String,
+        /// What is wrong with it.
+        why: String,
+    },
     /// Nobody waits for the answer any more, or the session was deleted.
     #[error("cancelled")]
     Cancelled,

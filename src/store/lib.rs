@@ -10,6 +10,7 @@
 //!
 //! Knows no HTTP, no Zenoh and no wire format.
 
+mod archive;
 mod background;
 mod check;
 mod config;
@@ -20,9 +21,11 @@ mod live;
 mod pacing;
 mod pool;
 mod prepared;
+mod restore;
 mod session;
 mod simulation;
 mod stepping;
+mod storage;
 mod store;
 mod tasks;
 #[cfg(test)]
@@ -32,10 +35,11 @@ pub use config::{Limits, StoreConfig, WorkConfig};
 pub use error::{InputError, StoreError};
 pub use event::{Event, EventKind};
 pub use session::{
-    CreateSession, EditRequest, Generation, GenerationRef, NotASessionId, Progress, SessionId,
-    SessionInfo, SessionState,
+    CreateSession, EditRequest, Generation, GenerationRef, MeshSize, NotASessionId, Progress,
+    SessionId, SessionInfo, SessionState,
 };
 pub use simulation::{
     ContactConfig, Frame, GrabConfig, SimulationConfig, SimulationInfo, VertexForce,
 };
-pub use store::{Load, Store};
+pub use storage::{Entry, LocalFiles, Storage, StorageError};
+pub use store::{Load, OpenError, Store};

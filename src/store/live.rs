@@ -3,15 +3,17 @@
 //! Events are sent under the lock, so subscribers hear of changes in the order in which they
 //! happened. Generations are inserted whole and never changed.
 
+use crate::archive::{Found, Journal};
 use crate::error::StoreError;
 use crate::event::{Event, EventKind};
 use crate::pool::{CancelOnDrop, catching};
-use crate::session::{Generation, GenerationRef, Progress, SessionId, SessionInfo, SessionState};
-use crate::simulation::{Frame, FrameSource};
+use crate::session::{
+    Generation, GenerationRef, MeshSize, Progress, SessionId, SessionInfo, SessionState,
+};
+use crate::simulation::{Frame, FrameSource, SimulationConfig};
 use crate::stepping::SimulationHandle;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use sutura_core::mesh::TetMesh;
 use tokio::sync::{broadcast, watch};
 
 /// Where a new session's events go, and what it may keep.
@@ -32,6 +34,9 @@ pub(crate) struct LiveSession {
     pub(crate) id: SessionId,
     name: String,
     surroundings: Surroundings,
+    /// What outlives the process, if anything does.
+    pub(crate) journal: Option<Journal>,
+    size: MeshSize,
     inner: Mutex<Inner>,
     /// Becomes true when the build has ended, well or badly, or the session is gone.
     settled: watch::Sender<bool>,
@@ -40,7 +45,8 @@ pub(crate) struct LiveSession {
 struct Inner {
     state: SessionState,
     progress: Option<Progress>,
-    mesh: Arc<TetMesh>,
+    /// The current generation's number, in memory or not.
+    number: u64,
     generations: BTreeMap<u64, Arc<Generation>>,
     error: Option<Arc<StoreError>>,
     /// Candidate pairs named since the session was opened, ends ascending.
@@ -48,6 +54,8 @@ struct Inner {
     /// The task that improves the current generation.
     improvement: Option<CancelOnDrop>,
     simulation: Option<Arc<SimulationHandle>>,
+    /// How an earlier process simulated the session: until it is restored.
+    simulation_config: Option<SimulationConfig>,
     /// `None` once the session is deleted.
     channels: Option<Channels>,
 }
@@ -60,32 +68,84 @@ struct Channels {
 /// What a change left over: to be dropped where freeing large memory holds up nobody.
 pub(crate) type Leftovers = BTreeMap<u64, Arc<Generation>>;
 
+/// Generations in the order of their numbers, and candidate pairs.
+pub(crate) type Kept = (Vec<Arc<Generation>>, Vec<[u32; 2]>);
+
 impl LiveSession {
     /// A session whose build is about to be queued.
-    pub(crate) fn new(name: String, mesh: Arc<TetMesh>, surroundings: Surroundings) -> Self {
-        Self::with(name, mesh, SessionState::Building, BTreeMap::new(), surroundings)
+    pub(crate) fn new(
+        id: SessionId,
+        name: String,
+        size: MeshSize,
+        journal: Option<Journal>,
+        surroundings: Surroundings,
+    ) -> Self {
+        Self::with(id, name, size, journal, SessionState::Building, surroundings)
     }
 
-    /// A session that starts with the generations of this one.
-    pub(crate) fn fork(&self, name: Option<String>) -> Result<Self, StoreError> {
+    /// A session of an earlier process.
+    pub(crate) fn found(found: Found, surroundings: Surroundings) -> Self {
+        let Found { journal, contents, .. } = found;
+        let id = journal.id();
+        match contents {
+            Ok(contents) => {
+                let (name, size) = (contents.session.name.clone(), contents.size());
+                let number = contents.generation();
+                let state = SessionState::Stored;
+                let session = Self::with(id, name, size, Some(journal), state, surroundings);
+                {
+                    let mut inner = session.lock();
+                    inner.number = number;
+                    inner.seams.extend(contents.seams);
+                    inner.simulation_config = contents.simulation;
+                }
+                session
+            }
+            Err(error) => {
+                tracing::error!(session = %id, %error, "the session cannot be restored");
+                let name = "unreadable".to_owned();
+                let size = MeshSize { n_vertices: 0, n_tets: 0, n_domains: 0, n_components: 0 };
+                let state = SessionState::Failed;
+                let session = Self::with(id, name, size, Some(journal), state, surroundings);
+                session.lock().error = Some(Arc::new(error));
+                session
+            }
+        }
+    }
+
+    /// The generations and seams that a fork begins with.
+    pub(crate) fn kept(&self) -> Result<Kept, StoreError> {
         let inner = self.lock();
         inner.current()?;
-        let fork = Self::with(
-            name.unwrap_or_else(|| self.name.clone()),
-            inner.mesh.clone(),
-            SessionState::Ready,
-            inner.generations.clone(),
-            self.surroundings.clone(),
-        );
-        fork.lock().seams.clone_from(&inner.seams);
-        Ok(fork)
+        let generations = inner.generations.values().cloned().collect();
+        Ok((generations, inner.seams.iter().copied().collect()))
+    }
+
+    /// A session that starts with these generations of this one.
+    pub(crate) fn fork(
+        &self,
+        id: SessionId,
+        name: String,
+        journal: Option<Journal>,
+        generations: Vec<Arc<Generation>>,
+        seams: Vec<[u32; 2]>,
+    ) -> Self {
+        let (state, surroundings) = (SessionState::Ready, self.surroundings.clone());
+        let fork = Self::with(id, name, self.size, journal, state, surroundings);
+        {
+            let mut inner = fork.lock();
+            inner.seams.extend(seams);
+            inner.keep(generations);
+        }
+        fork
     }
 
     fn with(
+        id: SessionId,
         name: String,
-        mesh: Arc<TetMesh>,
+        size: MeshSize,
+        journal: Option<Journal>,
         state: SessionState,
-        generations: BTreeMap<u64, Arc<Generation>>,
         surroundings: Surroundings,
     ) -> Self {
         let channels = Channels {
@@ -93,22 +153,72 @@ impl LiveSession {
             frames: Arc::new(FrameSource::new(surroundings.frame_backlog)),
         };
         Self {
-            id: SessionId::new(),
+            id,
             name,
             surroundings,
+            journal,
+            size,
             inner: Mutex::new(Inner {
                 state,
                 progress: None,
-                mesh,
-                generations,
+                number: 0,
+                generations: BTreeMap::new(),
                 error: None,
                 seams: BTreeSet::new(),
                 improvement: None,
                 simulation: None,
+                simulation_config: None,
                 channels: Some(channels),
             }),
             settled: watch::Sender::new(state != SessionState::Building),
         }
+    }
+
+    /// Its name for people.
+    pub(crate) fn name(&self) -> &str {
+        &self.name
+    }
+
+    pub(crate) fn state(&self) -> SessionState {
+        self.lock().state
+    }
+
+    /// Begins to restore the body, if it is not in memory. Its end is [`LiveSession::restored`].
+    pub(crate) fn begin_restore(&self) -> bool {
+        let mut inner = self.lock();
+        let begins = inner.state == SessionState::Stored && inner.channels.is_some();
+        if begins {
+            self.set_state(&mut inner, SessionState::Restoring);
+        }
+        begins
+    }
+
+    /// Ends what [`LiveSession::begin_restore`] began. The body is in memory again; or it never will be;
+    /// or another try may do better (`Err(None)`).
+    pub(crate) fn restored(&self, outcome: Result<Vec<Arc<Generation>>, Option<StoreError>>) {
+        let mut inner = self.lock();
+        let state = match outcome {
+            Ok(generations) => {
+                inner.keep(generations);
+                SessionState::Ready
+            }
+            Err(Some(error)) => {
+                inner.error = Some(Arc::new(error));
+                SessionState::Failed
+            }
+            Err(None) => SessionState::Stored,
+        };
+        self.set_state(&mut inner, state);
+    }
+
+    /// How the session was simulated in an earlier process.
+    pub(crate) fn take_simulation_config(&self) -> Option<SimulationConfig> {
+        self.lock().simulation_config.take()
+    }
+
+    /// Whether it was.
+    pub(crate) fn has_simulation_config(&self) -> bool {
+        self.lock().simulation_config.is_some()
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner> {
@@ -148,7 +258,8 @@ impl LiveSession {
             name: self.name.clone(),
             state: inner.state,
             progress: inner.progress,
-            mesh: inner.mesh.clone(),
+            size: self.size,
+            generation_number: inner.number,
             generation: inner.generations.values().next_back().cloned(),
             error: inner.error.clone(),
         }
@@ -233,10 +344,8 @@ impl LiveSession {
         let mut inner = self.lock();
         match outcome {
             Ok(generation) => {
-                // A body shared with another session brings its own, equal mesh.
-                inner.mesh = generation.artifacts.mesh().clone();
                 let number = generation.number;
-                inner.generations.insert(number, generation);
+                inner.keep([generation]);
                 self.emit(&inner, EventKind::Generation(number));
                 self.set_state(&mut inner, SessionState::Ready);
             }
@@ -251,6 +360,10 @@ impl LiveSession {
     /// Refuses an edit that cannot succeed, however long it waits for its turn.
     pub(crate) fn check_editable(&self, base_generation: Option<u64>) -> Result<(), StoreError> {
         let inner = self.lock();
+        // One that is not in memory is compared once it is.
+        if matches!(inner.state, SessionState::Stored | SessionState::Restoring) {
+            return Ok(());
+        }
         let current = inner.current()?;
         match base_generation {
             // A larger one may become current while the edit waits.
@@ -288,9 +401,7 @@ impl LiveSession {
         if inner.channels.is_none() {
             return (None, Leftovers::from([(number, generation)]));
         }
-        // A closing moves vertices; so does an undone one.
-        inner.mesh = generation.artifacts.mesh().clone();
-        inner.generations.insert(number, generation);
+        inner.keep([generation]);
         let oldest_kept = (number + 1).saturating_sub(self.surroundings.n_kept_generations as u64);
         let kept = inner.generations.split_off(&oldest_kept);
         let leftovers = std::mem::replace(&mut inner.generations, kept);
@@ -390,6 +501,13 @@ impl LiveSession {
 }
 
 impl Inner {
+    fn keep(&mut self, generations: impl IntoIterator<Item = Arc<Generation>>) {
+        for generation in generations {
+            self.number = self.number.max(generation.number);
+            self.generations.insert(generation.number, generation);
+        }
+    }
+
     fn current(&self) -> Result<&Arc<Generation>, StoreError> {
         self.generations.values().next_back().ok_or(StoreError::NotReady { state: self.state })
     }

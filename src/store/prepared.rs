@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 use sutura_core::build::{Artifacts, BuildParams};
 use sutura_core::mesh::TetMesh;
 
-/// The first generations that some session still keeps.
+/// The first generations, and those restored, that some session still keeps.
 #[derive(Default)]
 pub(crate) struct PreparedBodies(Mutex<Vec<Weak<Artifacts>>>);
 
@@ -13,16 +13,17 @@ impl PreparedBodies {
     /// A body equal to what building `mesh` with `params` would give. Compares meshes number by
     /// number, so it belongs on a worker thread.
     pub(crate) fn find(&self, mesh: &Arc<TetMesh>, params: &BuildParams) -> Option<Arc<Artifacts>> {
-        let bodies: Vec<Arc<Artifacts>> = self
-            .0
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .iter()
-            .filter_map(Weak::upgrade)
-            .collect();
-        bodies.into_iter().find(|body| {
-            body.params() == params && (Arc::ptr_eq(body.mesh(), mesh) || body.mesh() == mesh)
+        self.all().into_iter().find(|body| {
+            body.is_as_built()
+                && body.params() == params
+                && (Arc::ptr_eq(body.mesh(), mesh) || body.mesh() == mesh)
         })
+    }
+
+    /// Every body that is offered and still there.
+    pub(crate) fn all(&self) -> Vec<Arc<Artifacts>> {
+        let bodies = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        bodies.iter().filter_map(Weak::upgrade).collect()
     }
 
     /// Offers a body to later sessions, for as long as anyone keeps it.

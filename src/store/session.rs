@@ -50,16 +50,46 @@ pub struct CreateSession {
     pub params: BuildParams,
 }
 
+/// How large a mesh is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MeshSize {
+    /// Vertices.
+    pub n_vertices: usize,
+    /// Tets.
+    pub n_tets: usize,
+    /// Domains.
+    pub n_domains: usize,
+    /// Connected pieces.
+    pub n_components: usize,
+}
+
+impl MeshSize {
+    /// That of `mesh`.
+    pub fn of(mesh: &TetMesh) -> MeshSize {
+        MeshSize {
+            n_vertices: mesh.vertices().len(),
+            n_tets: mesh.tets().len(),
+            n_domains: mesh.domains().len(),
+            n_components: mesh.n_components(),
+        }
+    }
+}
+
 /// What a session is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SessionState {
+    /// All that makes the body is kept, but the body is not in memory: whoever asks for it has it
+    /// restored.
+    Stored,
+    /// The body is being made again from what is kept of it.
+    Restoring,
     /// The first generation is queued or being built.
     Building,
     /// The current generation is ready, nothing is being computed.
     Ready,
     /// The current generation is ready, the next one is being computed.
     Rebuilding,
-    /// The first generation could not be built.
+    /// The first generation could not be built, or what was kept of the body could not be read.
     Failed,
 }
 
@@ -67,6 +97,8 @@ impl SessionState {
     /// Lower-case name.
     pub fn name(self) -> &'static str {
         match self {
+            SessionState::Stored => "stored",
+            SessionState::Restoring => "restoring",
             SessionState::Building => "building",
             SessionState::Ready => "ready",
             SessionState::Rebuilding => "rebuilding",
@@ -157,9 +189,11 @@ pub struct SessionInfo {
     pub state: SessionState,
     /// How far that has come, while something is being computed.
     pub progress: Option<Progress>,
-    /// The mesh.
-    pub mesh: Arc<TetMesh>,
-    /// The current generation, once there is one.
+    /// How large the mesh is.
+    pub size: MeshSize,
+    /// The number of the current generation, 0 before there is one.
+    pub generation_number: u64,
+    /// The current generation, once there is one, while it is in memory.
     pub generation: Option<Arc<Generation>>,
     /// Why the state is `Failed`.
     pub error: Option<Arc<StoreError>>,

@@ -1,5 +1,6 @@
 //! The interface of the store.
 
+use crate::archive::{Archive, Beginning, Journal};
 use crate::check;
 use crate::config::StoreConfig;
 use crate::control::TaskControl;
@@ -9,14 +10,16 @@ use crate::live::{Leftovers, LiveSession, Surroundings};
 use crate::pool::{CancelFlag, Class, ClassLimits, Pool};
 use crate::prepared::PreparedBodies;
 use crate::session::{
-    CreateSession, EditRequest, Generation, GenerationRef, SessionId, SessionInfo,
+    CreateSession, EditRequest, Generation, GenerationRef, MeshSize, SessionId, SessionInfo,
+    SessionState,
 };
 use crate::simulation::{Frame, GrabConfig, SimulationConfig, SimulationInfo, VertexForce};
-use crate::stepping::SteppingThreads;
+use crate::stepping::{SimulationHandle, SteppingThreads};
+use crate::storage::{Storage, StorageError};
 use crate::tasks::{run_build, run_edit};
 use std::collections::BTreeMap;
 use std::ops::Bound;
-use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::{Duration, Instant};
 use sutura_core::build::check_seams;
 use sutura_core::control::Control;
@@ -45,12 +48,27 @@ pub struct Store {
 
 pub(crate) struct Shared {
     pub(crate) config: StoreConfig,
-    sessions: RwLock<BTreeMap<SessionId, Arc<LiveSession>>>,
-    surroundings: Surroundings,
-    prepared: Arc<PreparedBodies>,
+    pub(crate) sessions: RwLock<BTreeMap<SessionId, Arc<LiveSession>>>,
+    pub(crate) surroundings: Surroundings,
+    pub(crate) prepared: Arc<PreparedBodies>,
     pub(crate) builds: Pool,
     queries: Pool,
-    stepping: SteppingThreads,
+    pub(crate) stepping: SteppingThreads,
+    /// What outlives the process, if anything does.
+    archive: Option<Arc<Archive>>,
+    /// Sessions of earlier processes whose bodies nobody has asked for yet, the next one last.
+    pub(crate) to_restore: Mutex<Vec<SessionId>>,
+}
+
+/// Why a store could not be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// The storage cannot be read.
+    #[error(transparent)]
+    Storage(#[from] StorageError),
+    /// The threads could not be started.
+    #[error("cannot start the worker threads: {0}")]
+    Threads(#[from] std::io::Error),
 }
 
 /// How busy the store is.
@@ -75,8 +93,21 @@ pub struct Load {
 }
 
 impl Store {
-    /// Starts the store's threads.
+    /// Starts the store's threads. Sessions are kept in memory alone.
     pub fn new(config: StoreConfig) -> std::io::Result<Store> {
+        Self::with(config, None)
+    }
+
+    /// Starts the store's threads and finds the sessions that `storage` keeps. All are there at once; their
+    /// bodies are restored one by one, the last used first, and whenever one is asked for. Blocks.
+    pub fn open(config: StoreConfig, storage: Arc<dyn Storage>) -> Result<Store, OpenError> {
+        let (archive, found) = Archive::open(storage)?;
+        let store = Self::with(config, Some(archive))?;
+        store.shared.adopt(found);
+        Ok(store)
+    }
+
+    fn with(config: StoreConfig, archive: Option<Arc<Archive>>) -> std::io::Result<Store> {
         let work = &config.work;
         let n_build_threads = work.n_build_threads.max(1);
         let edits = ClassLimits { n_waiting: work.edit_queue_limit, n_running: n_build_threads };
@@ -101,6 +132,8 @@ impl Store {
             builds: Pool::start("build", n_build_threads, vec![edits, builds, preparations])?,
             queries: Pool::start("query", n_query_threads, vec![queries])?,
             stepping: SteppingThreads::start(work.n_stepping_threads, work.stepping_queue_limit)?,
+            archive,
+            to_restore: Mutex::default(),
             config,
         };
         Ok(Store { shared: Arc::new(shared) })
@@ -129,12 +162,41 @@ impl Store {
         }
     }
 
+    /// Runs what writes to the storage where blocking holds up nobody. Once begun it runs to its end, even
+    /// if the caller goes away.
+    async fn keep<T: Send + 'static>(
+        &self,
+        what: &'static str,
+        job: impl FnOnce(&Store) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreError> {
+        if self.shared.archive.is_none() {
+            return job(self);
+        }
+        let store = self.clone();
+        self.shared.queries.run(QUERY, None, what, move |_| job(&store)).await
+    }
+
     /// Opens a session and queues its build.
-    pub fn create(&self, request: CreateSession) -> Result<SessionId, StoreError> {
+    pub async fn create(&self, request: CreateSession) -> Result<SessionId, StoreError> {
+        check::create(&request, &self.shared.config.limits)?;
+        self.keep("opening a session", move |store| store.create_now(request)).await
+    }
+
+    fn create_now(&self, request: CreateSession) -> Result<SessionId, StoreError> {
         let shared = &self.shared;
-        check::create(&request, &shared.config.limits)?;
         let CreateSession { name, mesh, params } = request;
-        let session = Arc::new(LiveSession::new(name, mesh.clone(), shared.surroundings.clone()));
+        let id = SessionId::new();
+        let beginning = Beginning {
+            name: &name,
+            mesh: &mesh,
+            params: &params,
+            generations: Vec::new(),
+            seams: Vec::new(),
+        };
+        let journal = self.begin_journal(id, &beginning)?;
+        let size = MeshSize::of(&mesh);
+        let surroundings = shared.surroundings.clone();
+        let session = Arc::new(LiveSession::new(id, name, size, journal, surroundings));
         let task = {
             let (session, prepared) = (session.clone(), shared.prepared.clone());
             let interval = shared.config.work.progress_interval;
@@ -146,9 +208,23 @@ impl Store {
                 }
             }
         };
-        let id = session.id;
-        self.insert(session, || shared.builds.submit(BUILD, Some(id), task).map(drop))?;
+        self.insert_whole(session, || shared.builds.submit(BUILD, Some(id), task).map(drop))?;
         Ok(id)
+    }
+
+    /// A session's journal, if there is an archive and room for another session.
+    fn begin_journal(
+        &self,
+        id: SessionId,
+        beginning: &Beginning<'_>,
+    ) -> Result<Option<Journal>, StoreError> {
+        let Some(archive) = &self.shared.archive else { return Ok(None) };
+        // Before anything is written; whoever comes in between is refused behind it.
+        let limit = self.shared.config.limits.max_sessions;
+        if self.n_sessions() >= limit {
+            return Err(StoreError::Full { what: "sessions", limit });
+        }
+        archive.begin(id, beginning).map(Some)
     }
 
     /// What is known of a session now.
@@ -181,14 +257,26 @@ impl Store {
         timeout: Duration,
     ) -> Result<SessionInfo, StoreError> {
         let session = self.session(id)?;
-        // Whether it settled in time shows in the state.
-        let _ = tokio::time::timeout(timeout, session.settled()).await;
+        // Whether it can be restored, and whether it settled in time shows in the state.
+        let _ = tokio::time::timeout(timeout, async {
+            let _ = self.wake(id).await;
+            session.settled().await;
+        })
+        .await;
         self.info(id)
     }
 
-    /// Ends a session with everything that runs for it.
-    pub fn delete(&self, id: SessionId) -> Result<(), StoreError> {
-        let session = self.sessions_mut().remove(&id).ok_or(StoreError::NoSession(id))?;
+    /// Ends a session with everything that runs for it, for good.
+    pub async fn delete(&self, id: SessionId) -> Result<(), StoreError> {
+        self.keep("deleting a session", move |store| store.delete_now(id)).await
+    }
+
+    fn delete_now(&self, id: SessionId) -> Result<(), StoreError> {
+        let session = self.session(id)?;
+        if let Some(journal) = &session.journal {
+            journal.delete()?;
+        }
+        self.sessions_mut().remove(&id).ok_or(StoreError::NoSession(id))?;
         let leftovers = session.delete();
         self.shared.builds.cancel_lane(id);
         tracing::info!(session = %id, "session deleted");
@@ -198,13 +286,35 @@ impl Store {
 
     /// A new session with the same generations, sharing every artifact; not simulated. It takes
     /// the name of the old one unless it is given its own.
-    pub fn fork(&self, id: SessionId, name: Option<String>) -> Result<SessionId, StoreError> {
+    pub async fn fork(&self, id: SessionId, name: Option<String>) -> Result<SessionId, StoreError> {
         if let Some(name) = &name {
             check::name(name, &self.shared.config.limits)?;
         }
-        let fork = Arc::new(self.session(id)?.fork(name)?);
-        let fork_id = fork.id;
-        self.insert(fork, || Ok(()))?;
+        self.wake(id).await?;
+        self.keep("forking a session", move |store| store.fork_now(id, name)).await
+    }
+
+    fn fork_now(&self, id: SessionId, name: Option<String>) -> Result<SessionId, StoreError> {
+        let session = self.session(id)?;
+        let name = name.unwrap_or_else(|| session.name().to_owned());
+        let (generations, seams) = session.kept()?;
+        let fork_id = SessionId::new();
+        let journal = match generations.first() {
+            None => None,
+            Some(generation) => {
+                let body = &generation.artifacts;
+                let beginning = Beginning {
+                    name: &name,
+                    mesh: body.mesh(),
+                    params: body.params(),
+                    generations: generations.clone(),
+                    seams: seams.clone(),
+                };
+                self.begin_journal(fork_id, &beginning)?
+            }
+        };
+        let fork = session.fork(fork_id, name, journal, generations, seams);
+        self.insert_whole(Arc::new(fork), || Ok(()))?;
         tracing::info!(session = %fork_id, origin = %id, "session forked");
         Ok(fork_id)
     }
@@ -225,10 +335,10 @@ impl Store {
         // What is being improved is about to change.
         session.cancel_improvement();
         let ticket = shared.builds.submit(EDIT, Some(id), move |cancel| {
-            run_edit(&session, &request, &config, cancel, reply);
-            if let Some(store) = store.upgrade() {
-                store.follow_up(&session);
-            }
+            let Some(store) = store.upgrade() else { return };
+            let bring_back = || store.restore(&session, cancel);
+            run_edit(&session, &request, &config, cancel, reply, bring_back);
+            store.follow_up(&session);
         })?;
         let _guard = ticket.cancel_on_drop();
         shared.builds.answer(answer).await
@@ -237,19 +347,60 @@ impl Store {
     /// Names candidate pairs: they are prepared in the background, for this base body and those that
     /// edits replace it by, until which edits of them cost solves. Returns how many the session has
     /// named so far.
-    pub fn add_seams(&self, id: SessionId, pairs: Vec<[u32; 2]>) -> Result<usize, StoreError> {
+    pub async fn add_seams(
+        &self,
+        id: SessionId,
+        pairs: Vec<[u32; 2]>,
+    ) -> Result<usize, StoreError> {
+        self.wake(id).await?;
+        self.keep("naming seams", move |store| store.add_seams_now(id, &pairs)).await
+    }
+
+    fn add_seams_now(&self, id: SessionId, pairs: &[[u32; 2]]) -> Result<usize, StoreError> {
         let shared = &self.shared;
         let session = self.session(id)?;
         let generation = session.generation(GenerationRef::Current)?;
         let named = session.seams().len() + generation.artifacts.params().seams.len();
         check::seams(named + pairs.len(), &shared.config.limits)?;
-        check_seams(&generation.artifacts, &pairs)?;
-        let n_named = session.add_seams(&pairs) + generation.artifacts.params().seams.len();
+        check_seams(&generation.artifacts, pairs)?;
+        if let Some(journal) = &session.journal {
+            journal.add_seams(pairs)?;
+        }
+        let n_named = session.add_seams(pairs) + generation.artifacts.params().seams.len();
         shared.prepare_seams_later(&session);
         Ok(n_named)
     }
 
-    /// A generation of a session.
+    /// Returns once the session's body is in memory, restored if need be. A session that is being built, or
+    /// could not be, is left as it is.
+    pub async fn wake(&self, id: SessionId) -> Result<(), StoreError> {
+        let session = self.session(id)?;
+        if !matches!(session.state(), SessionState::Stored | SessionState::Restoring) {
+            return Ok(());
+        }
+        let (reply, answer) = oneshot::channel();
+        let store = Arc::downgrade(&self.shared);
+        // Not cancelled when the caller goes: others wait for it too.
+        self.shared.builds.submit(EDIT, Some(id), move |cancel| {
+            if let Some(store) = store.upgrade() {
+                let _ = reply.send(store.restore(&session, cancel));
+                store.follow_up(&session);
+            }
+        })?;
+        self.shared.builds.answer(answer).await
+    }
+
+    /// A generation of a session whose body may have to be restored for it.
+    pub async fn fetch(
+        &self,
+        id: SessionId,
+        which: GenerationRef,
+    ) -> Result<Arc<Generation>, StoreError> {
+        self.wake(id).await?;
+        self.generation(id, which)
+    }
+
+    /// A generation of a session whose body is in memory.
     pub fn generation(
         &self,
         id: SessionId,
@@ -267,7 +418,7 @@ impl Store {
         poses: Vec<Vec<f64>>,
         exact: bool,
     ) -> Result<Vec<Evaluation>, StoreError> {
-        let generation = self.generation(id, which)?;
+        let generation = self.fetch(id, which).await?;
         check::poses(&poses, generation.artifacts.basis_size(), &self.shared.config.limits)?;
         let evaluate_all = move |cancel: &CancelFlag| {
             let mut evaluations = Vec::with_capacity(poses.len());
@@ -306,23 +457,23 @@ impl Store {
         id: SessionId,
         config: SimulationConfig,
     ) -> Result<SimulationInfo, StoreError> {
-        let shared = &self.shared;
-        let session = self.session(id)?;
-        check::simulation(&config, &shared.config.limits)?;
-        let limit = shared.config.limits.max_simulations;
-        let handle = session.put_simulation(
-            |running| running.configure(config.clone()),
-            |generation, frames| {
-                let session = Arc::downgrade(&session);
-                let on_failure = move || {
-                    if let Some(session) = session.upgrade() {
-                        session.simulation_failed();
-                    }
-                };
-                shared.stepping.add(generation, config.clone(), frames, limit, on_failure)
-            },
-        )?;
-        if !config.obstacles.is_empty() {
+        check::simulation(&config, &self.shared.config.limits)?;
+        self.wake(id).await?;
+        let has_obstacles = !config.obstacles.is_empty();
+        let keep = self.keep("starting a simulation", move |store| {
+            let session = store.session(id)?;
+            let before = session.simulation().ok().map(|simulation| simulation.info().config);
+            if let Some(journal) = &session.journal {
+                journal.set_simulation(Some(&config))?;
+            }
+            let simulated = store.shared.simulate(&session, &config);
+            if let (Err(_), Some(journal)) = (&simulated, &session.journal) {
+                journal.set_simulation(before.as_ref())?;
+            }
+            simulated
+        });
+        let handle = keep.await?;
+        if has_obstacles {
             let handle = handle.clone();
             self.compute("the surface", move |_| handle.update_surface()).await?;
         }
@@ -330,20 +481,30 @@ impl Store {
     }
 
     /// What is known of the session's simulation now.
-    pub fn simulation(&self, id: SessionId) -> Result<SimulationInfo, StoreError> {
+    pub async fn simulation(&self, id: SessionId) -> Result<SimulationInfo, StoreError> {
+        self.wake(id).await?;
         Ok(self.session(id)?.simulation()?.info())
     }
 
     /// Ends the session's simulation.
-    pub fn stop_simulation(&self, id: SessionId) -> Result<(), StoreError> {
-        self.session(id)?.stop_simulation()
+    pub async fn stop_simulation(&self, id: SessionId) -> Result<(), StoreError> {
+        self.wake(id).await?;
+        self.keep("ending a simulation", move |store| {
+            let session = store.session(id)?;
+            session.simulation()?;
+            if let Some(journal) = &session.journal {
+                journal.set_simulation(None)?;
+            }
+            session.stop_simulation()
+        })
+        .await
     }
 
     /// Lets forces act on the running simulation from its next step on.
     pub fn push_forces(&self, id: SessionId, forces: Vec<VertexForce>) -> Result<(), StoreError> {
         let limits = &self.shared.config.limits;
         let session = self.session(id)?;
-        let n_vertices = session.info().mesh.vertices().len();
+        let n_vertices = session.info().size.n_vertices;
         check::forces(&forces, n_vertices, limits)?;
         let simulation = session.simulation()?;
         if !simulation.is_running() {
@@ -362,7 +523,7 @@ impl Store {
     ) -> Result<(), StoreError> {
         let limits = &self.shared.config.limits;
         let session = self.session(id)?;
-        let n_vertices = session.info().mesh.vertices().len();
+        let n_vertices = session.info().size.n_vertices;
         check::grabs(&grabs, release.len(), n_vertices, limits)?;
         let simulation = session.simulation()?;
         if !simulation.is_running() {
@@ -440,8 +601,44 @@ impl Store {
         Ok(())
     }
 
+    /// Adds a session, or leaves nothing of it behind.
+    fn insert_whole(
+        &self,
+        session: Arc<LiveSession>,
+        admit: impl FnOnce() -> Result<(), StoreError>,
+    ) -> Result<(), StoreError> {
+        let inserted = self.insert(session.clone(), admit);
+        if let (Err(_), Some(journal)) = (&inserted, &session.journal) {
+            journal.delete()?;
+        }
+        inserted
+    }
+
     /// Frees large memory on a worker; here and now if none has time.
     fn drop_later(&self, leftovers: Leftovers) {
         drop(self.shared.queries.submit(QUERY, None, move |_| drop(leftovers)));
+    }
+}
+
+impl Shared {
+    /// Starts a session's simulation, or changes how it goes on.
+    pub(crate) fn simulate(
+        &self,
+        session: &Arc<LiveSession>,
+        config: &SimulationConfig,
+    ) -> Result<Arc<SimulationHandle>, StoreError> {
+        let limit = self.config.limits.max_simulations;
+        session.put_simulation(
+            |running| running.configure(config.clone()),
+            |generation, frames| {
+                let session = Arc::downgrade(session);
+                let on_failure = move || {
+                    if let Some(session) = session.upgrade() {
+                        session.simulation_failed();
+                    }
+                };
+                self.stepping.add(generation, config.clone(), frames, limit, on_failure)
+            },
+        )
     }
 }

@@ -16,7 +16,7 @@ use sutura_core::mesh::TetMesh;
 use tokio::sync::oneshot;
 
 /// Tolerance that a build is finished to, if a later rebuild asks: its modes are far below.
-const DEFAULT_TOLERANCE: f64 = 1e-4;
+pub(crate) const DEFAULT_TOLERANCE: f64 = 1e-4;
 
 /// Builds the first generation of `session`, or takes an equal body that exists already.
 pub(crate) fn run_build(
@@ -69,7 +69,12 @@ fn build_or_share(
     Ok(body)
 }
 
-/// Makes the next generation of `session`. Answers as soon as it is current; then the simulation,
+/// Writes down what makes `next` again: before anybody hears of it.
+pub(crate) fn keep(session: &LiveSession, next: &Generation) -> Result<(), StoreError> {
+    session.journal.as_ref().map_or(Ok(()), |journal| journal.add_generation(next))
+}
+
+/// Makes the next generation of `session`; `bring_back` restores its body if it is not in memory. Answers as soon as it is current; then the simulation,
 /// if there is one, is told to follow.
 pub(crate) fn run_edit(
     session: &LiveSession,
@@ -77,9 +82,14 @@ pub(crate) fn run_edit(
     config: &StoreConfig,
     cancel: &CancelFlag,
     reply: oneshot::Sender<Result<Arc<Generation>, StoreError>>,
+    bring_back: impl FnOnce() -> Result<(), StoreError>,
 ) {
+    let begin = |session: &LiveSession| {
+        bring_back()?;
+        session.begin_rebuild(request.base_generation)
+    };
     let _span = tracing::info_span!("edit", session = %session.id).entered();
-    let previous = match session.begin_rebuild(request.base_generation) {
+    let previous = match begin(session) {
         Ok(previous) => previous,
         Err(error) => {
             // The caller may have gone; then nobody needs the answer, here and below.
@@ -88,7 +98,12 @@ pub(crate) fn run_edit(
         }
     };
     let control = TaskControl::reporting(cancel, session, config.work.progress_interval);
-    match catching("the edit", || next_generation(session, &previous, request, config, &control)) {
+    let made = catching("the edit", || {
+        let next = next_generation(session, &previous, request, config, &control)?;
+        keep(session, &next)?;
+        Ok(next)
+    });
+    match made {
         Ok(generation) => {
             tracing::info!(
                 generation = generation.number,

@@ -25,7 +25,7 @@ use tokio::sync::broadcast;
 use tokio::sync::broadcast::error::RecvError;
 
 /// Long enough for any machine; no test waits so long when all is well.
-const PATIENCE: Duration = Duration::from_secs(300);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(300);
 
 /// Cells along a bar, and across it in either direction.
 const LENGTH: u32 = 4;
@@ -57,7 +57,7 @@ fn cell_tets([x, y, z]: [u32; 3]) -> [[u32; 4]; 6] {
 }
 
 /// Two bars of 4 × 2 × 2 cells of 1 cm, end to end. Their ends coincide but are not joined.
-fn two_bars() -> Arc<TetMesh> {
+pub(crate) fn two_bars() -> Arc<TetMesh> {
     let mut vertices = Vec::new();
     let mut tets = Vec::new();
     for bar in 0..2 {
@@ -79,19 +79,19 @@ fn two_bars() -> Arc<TetMesh> {
 }
 
 /// Vertices of the cross-section at `x` of a bar.
-fn section(bar: u32, x: u32) -> impl Iterator<Item = u32> {
+pub(crate) fn section(bar: u32, x: u32) -> impl Iterator<Item = u32> {
     (0..=WIDTH)
         .flat_map(move |y| (0..=WIDTH).map(move |z| index(x, y, z)))
         .map(move |v| v + bar * N_VERTICES)
 }
 
 /// The pairs of coinciding vertices where the bars meet.
-fn seam() -> Vec<[u32; 2]> {
+pub(crate) fn seam() -> Vec<[u32; 2]> {
     section(0, LENGTH).zip(section(1, 0)).map(|(a, b)| [a, b]).collect()
 }
 
 /// Both outer ends are held, so that nothing is free even before the stitches.
-fn params() -> BuildParams {
+pub(crate) fn params() -> BuildParams {
     BuildParams {
         materials: vec![Material::stvk(1e5, 0.4, 1000.0).unwrap()],
         tet_stiffness: [].into(),
@@ -113,7 +113,7 @@ fn params() -> BuildParams {
     }
 }
 
-fn create_bars() -> CreateSession {
+pub(crate) fn create_bars() -> CreateSession {
     CreateSession { name: "bars".into(), mesh: two_bars(), params: params() }
 }
 
@@ -125,14 +125,14 @@ fn store() -> Store {
     store_with(WorkConfig::default(), Limits::default())
 }
 
-async fn ready(store: &Store) -> SessionId {
-    let id = store.create(create_bars()).unwrap();
+pub(crate) async fn ready(store: &Store) -> SessionId {
+    let id = store.create(create_bars()).await.unwrap();
     let info = store.wait_ready(id, PATIENCE).await.unwrap();
     assert_eq!(info.state, SessionState::Ready, "{:?}", info.error);
     id
 }
 
-fn stitch(pairs: &[[u32; 2]]) -> EditRequest {
+pub(crate) fn stitch(pairs: &[[u32; 2]]) -> EditRequest {
     EditRequest {
         deadline: None,
         base_generation: None,
@@ -143,7 +143,7 @@ fn stitch(pairs: &[[u32; 2]]) -> EditRequest {
     }
 }
 
-fn current(store: &Store, id: SessionId) -> Arc<Generation> {
+pub(crate) fn current(store: &Store, id: SessionId) -> Arc<Generation> {
     store.generation(id, GenerationRef::Current).unwrap()
 }
 
@@ -170,7 +170,7 @@ fn poll_once<F: Future>(future: std::pin::Pin<&mut F>) {
 }
 
 /// The next event that is not about progress.
-async fn next_event(events: &mut broadcast::Receiver<Event>) -> EventKind {
+pub(crate) async fn next_event(events: &mut broadcast::Receiver<Event>) -> EventKind {
     loop {
         match tokio::time::timeout(PATIENCE, events.recv()).await.unwrap().unwrap().kind {
             EventKind::Progress(_) => {}
@@ -193,7 +193,7 @@ async fn next_frame(frames: &mut broadcast::Receiver<Arc<Frame>>) -> Arc<Frame> 
 async fn a_session_is_built_and_tells_how_far_it_is() {
     let store = store();
     let mut events = store.subscribe_all();
-    let id = store.create(create_bars()).unwrap();
+    let id = store.create(create_bars()).await.unwrap();
     let info = store.wait_ready(id, PATIENCE).await.unwrap();
     assert_eq!(info.state, SessionState::Ready, "{:?}", info.error);
     assert_eq!(info.generation.unwrap().number, 0);
@@ -221,7 +221,7 @@ async fn equal_bodies_are_prepared_once() {
     assert!(Arc::ptr_eq(&current(&store, a).artifacts, &current(&store, b).artifacts));
     let mut other = create_bars();
     other.params.n_modes -= 1;
-    let c = store.create(other).unwrap();
+    let c = store.create(other).await.unwrap();
     store.wait_ready(c, PATIENCE).await.unwrap();
     assert!(!Arc::ptr_eq(&current(&store, a).artifacts, &current(&store, c).artifacts));
 }
@@ -231,7 +231,7 @@ async fn a_body_that_cannot_be_built_is_reported() {
     let store = store();
     let mut request = create_bars();
     request.params.fixed_vertices.push(2 * N_VERTICES);
-    let id = store.create(request).unwrap();
+    let id = store.create(request).await.unwrap();
     let info = store.wait_ready(id, PATIENCE).await.unwrap();
     assert_eq!(info.state, SessionState::Failed);
     assert!(info.error.unwrap().to_string().contains("fixed_vertices"));
@@ -316,12 +316,12 @@ async fn a_fork_shares_the_past_and_goes_its_own_way() {
     let store = store();
     let id = ready(&store).await;
     store.edit(id, stitch(&seam()[..1])).await.unwrap();
-    let fork = store.fork(id, Some("fork".into())).unwrap();
+    let fork = store.fork(id, Some("fork".into())).await.unwrap();
     assert!(Arc::ptr_eq(&current(&store, id), &current(&store, fork)));
     assert_eq!(store.info(fork).unwrap().name, "fork");
     store.edit(fork, stitch(&seam()[1..])).await.unwrap();
     assert_eq!((current(&store, id).number, current(&store, fork).number), (1, 2));
-    store.delete(id).unwrap();
+    store.delete(id).await.unwrap();
     assert_eq!(current(&store, fork).artifacts.stitches().len(), seam().len());
 }
 
@@ -329,12 +329,12 @@ async fn a_fork_shares_the_past_and_goes_its_own_way() {
 async fn a_session_that_is_still_being_built_refuses_what_needs_a_body() {
     let store = store();
     let _busy = occupy(&store, BUILD, 1);
-    let id = store.create(create_bars()).unwrap();
+    let id = store.create(create_bars()).await.unwrap();
     let building = |result: Result<(), StoreError>| {
         assert!(matches!(result, Err(StoreError::NotReady { state: SessionState::Building })));
     };
     building(store.edit(id, stitch(&seam())).await.map(drop));
-    building(store.fork(id, None).map(drop));
+    building(store.fork(id, None).await.map(drop));
     building(store.generation(id, GenerationRef::Current).map(drop));
     building(store.put_simulation(id, simulation()).await.map(drop));
     let waited = store.wait_ready(id, Duration::from_millis(1)).await.unwrap();
@@ -346,8 +346,8 @@ async fn a_full_queue_sheds_and_adds_no_session() {
     let work = WorkConfig { build_queue_limit: 1, ..WorkConfig::default() };
     let store = store_with(work, Limits::default());
     let _busy = occupy(&store, BUILD, 1);
-    store.create(create_bars()).unwrap();
-    let refused = store.create(create_bars());
+    store.create(create_bars()).await.unwrap();
+    let refused = store.create(create_bars()).await;
     assert!(matches!(refused, Err(StoreError::Busy { retry_after_s: 1.. })));
     assert_eq!((store.n_sessions(), store.load().n_waiting_builds), (1, 1));
 }
@@ -358,10 +358,10 @@ async fn too_many_sessions_and_too_large_ones_are_refused() {
     let store = store_with(WorkConfig::default(), limits);
     let mut request = create_bars();
     request.params.n_modes = 7;
-    let refused = store.create(request);
+    let refused = store.create(request).await;
     assert!(matches!(refused, Err(StoreError::TooLarge { what: "modes", limit: 6, given: 7 })));
-    store.create(create_bars()).unwrap();
-    let refused = store.create(create_bars());
+    store.create(create_bars()).await.unwrap();
+    let refused = store.create(create_bars()).await;
     assert!(matches!(refused, Err(StoreError::Full { what: "sessions", limit: 1 })));
 }
 
@@ -385,7 +385,7 @@ async fn an_edit_nobody_waits_for_is_cancelled() {
 async fn deleting_a_session_cancels_its_build_and_ends_its_subscriptions() {
     let store = store();
     let _busy = occupy(&store, BUILD, 1);
-    let id = store.create(create_bars()).unwrap();
+    let id = store.create(create_bars()).await.unwrap();
     let mut events = store.subscribe(id).unwrap();
     let mut frames = store.subscribe_frames(id).unwrap();
     let waiting = tokio::spawn({
@@ -393,20 +393,20 @@ async fn deleting_a_session_cancels_its_build_and_ends_its_subscriptions() {
         async move { store.wait_ready(id, PATIENCE).await }
     });
     tokio::task::yield_now().await;
-    store.delete(id).unwrap();
+    store.delete(id).await.unwrap();
     assert_eq!(store.load().n_waiting_builds, 0);
     assert_eq!(next_event(&mut events).await, EventKind::Deleted);
     assert_eq!(events.recv().await, Err(RecvError::Closed));
     assert_eq!(frames.recv().await, Err(RecvError::Closed));
     assert!(matches!(waiting.await.unwrap(), Err(StoreError::NoSession(_))));
-    assert!(matches!(store.delete(id), Err(StoreError::NoSession(_))));
+    assert!(matches!(store.delete(id).await, Err(StoreError::NoSession(_))));
 }
 
 #[tokio::test]
 async fn deleting_a_session_stops_the_build_that_runs() {
     let store = store();
-    let id = store.create(create_bars()).unwrap();
-    store.delete(id).unwrap();
+    let id = store.create(create_bars()).await.unwrap();
+    store.delete(id).await.unwrap();
     while store.load().n_running_builds + store.load().n_waiting_builds > 0 {
         tokio::task::yield_now().await;
     }
@@ -425,7 +425,10 @@ async fn a_panic_is_reported_and_does_no_harm() {
 async fn sessions_are_listed_in_pages() {
     let store = store();
     let _busy = occupy(&store, BUILD, 1);
-    let ids: Vec<SessionId> = (0..5).map(|_| store.create(create_bars()).unwrap()).collect();
+    let mut ids: Vec<SessionId> = Vec::new();
+    for _ in 0..5 {
+        ids.push(store.create(create_bars()).await.unwrap());
+    }
     let page = |after, limit| -> Vec<SessionId> {
         store.list(after, limit).iter().map(|info| info.id).collect()
     };
@@ -459,7 +462,7 @@ async fn evaluation_checks_its_poses() {
     assert!(matches!(refused, Err(StoreError::Input(error)) if error == overflows));
 }
 
-fn simulation() -> SimulationConfig {
+pub(crate) fn simulation() -> SimulationConfig {
     SimulationConfig {
         params: SimulationParams {
             dt_s: 0.002,
@@ -526,11 +529,11 @@ async fn a_simulation_moves_under_a_force_and_carries_its_state_over_an_edit() {
     }
     assert_eq!(first.q.len(), after.artifacts.basis_size());
 
-    let info = store.simulation(id).unwrap();
+    let info = store.simulation(id).await.unwrap();
     assert_eq!((info.generation, info.n_recovered_steps, info.n_active_forces), (1, 0, 1));
     assert!(info.error.is_none() && info.n_frames > 0 && info.n_steps > 0);
-    store.stop_simulation(id).unwrap();
-    assert!(matches!(store.simulation(id), Err(StoreError::NoSimulation)));
+    store.stop_simulation(id).await.unwrap();
+    assert!(matches!(store.simulation(id).await, Err(StoreError::NoSimulation)));
 }
 
 #[tokio::test]
@@ -539,11 +542,11 @@ async fn a_force_ends_by_itself() {
     let id = ready(&store).await;
     store.put_simulation(id, simulation()).await.unwrap();
     store.push_forces(id, vec![pull(0.003), pull(0.02)]).unwrap();
-    assert_eq!(store.simulation(id).unwrap().n_active_forces, 2);
-    while store.simulation(id).unwrap().n_active_forces > 0 {
+    assert_eq!(store.simulation(id).await.unwrap().n_active_forces, 2);
+    while store.simulation(id).await.unwrap().n_active_forces > 0 {
         tokio::task::yield_now().await;
     }
-    assert!(store.simulation(id).unwrap().n_steps >= 10);
+    assert!(store.simulation(id).await.unwrap().n_steps >= 10);
 }
 
 #[tokio::test]
@@ -573,7 +576,7 @@ async fn a_simulation_that_loses_its_support_ends_and_says_why() {
     let store = store();
     let mut request = create_bars();
     request.params.fixed_vertices = section(0, 0).collect();
-    let id = store.create(request).unwrap();
+    let id = store.create(request).await.unwrap();
     store.wait_ready(id, PATIENCE).await.unwrap();
     let refused = store.put_simulation(id, simulation()).await;
     assert!(matches!(
@@ -589,7 +592,7 @@ async fn a_simulation_that_loses_its_support_ends_and_says_why() {
     };
     store.edit(id, unstitch).await.unwrap();
     while next_event(&mut events).await != EventKind::SimulationStopped {}
-    let info = store.simulation(id).unwrap();
+    let info = store.simulation(id).await.unwrap();
     assert!(info.error.unwrap().to_string().contains("rigid motions"));
     let refused = store.push_forces(id, vec![pull(1.0)]);
     assert!(matches!(refused, Err(StoreError::NoSimulation)));
@@ -631,7 +634,7 @@ async fn simulations_and_forces_are_limited() {
     store.push_forces(a, vec![pull(1000.0)]).unwrap();
     let full = store.push_forces(a, vec![pull(1000.0)]);
     assert!(matches!(full, Err(StoreError::Full { what: "active forces", limit: 1 })));
-    store.stop_simulation(a).unwrap();
+    store.stop_simulation(a).await.unwrap();
     store.put_simulation(b, simulation()).await.unwrap();
     let mut bad = simulation();
     bad.params.dt_s = f64::NAN;
@@ -649,11 +652,11 @@ async fn simulations_and_forces_are_limited() {
 async fn shutting_down_refuses_new_work_and_releases_whoever_waits() {
     let store = store();
     let busy = occupy(&store, BUILD, 1);
-    let id = store.create(create_bars()).unwrap();
+    let id = store.create(create_bars()).await.unwrap();
     let mut events = store.subscribe(id).unwrap();
     drop(busy);
     assert!(store.shutdown(PATIENCE).await);
-    assert!(matches!(store.create(create_bars()), Err(StoreError::ShuttingDown)));
+    assert!(matches!(store.create(create_bars()).await, Err(StoreError::ShuttingDown)));
     assert!(matches!(store.compute("nothing", |_| ()).await, Err(StoreError::ShuttingDown)));
     store.wait_ready(id, PATIENCE).await.unwrap();
     while events.recv().await.is_ok() {}

@@ -73,7 +73,7 @@ pub(crate) async fn create(
         .store()
         .compute("reading a mesh", move |_| session::create(upload, &limits))
         .await??;
-    Ok(gateway.store().create(request)?)
+    Ok(gateway.store().create(request).await?)
 }
 
 /// Makes the next generation. Dropping the future cancels the edit.
@@ -90,13 +90,13 @@ pub(crate) async fn edit(
 }
 
 /// Names candidate pairs.
-pub(crate) fn add_seams(
+pub(crate) async fn add_seams(
     gateway: &Gateway,
     id: SessionId,
     request: SeamRequest,
 ) -> Result<SeamReply, Problem> {
     request.validate()?;
-    let added = gateway.store().add_seams(id, request.pairs);
+    let added = gateway.store().add_seams(id, request.pairs).await;
     let n_pairs = added.map_err(|error| of_build(&error).moved("/seams", "/pairs"))?;
     let info = gateway.store().info(id)?;
     let body = info.generation.as_ref().map(|generation| &generation.artifacts);
@@ -138,7 +138,7 @@ pub(crate) async fn array(
     let ArrayRequest { kind, params, media, max_bytes, .. } = request;
     let form = ArrayForm { dtype: params.dtype, media, max_bytes };
     check_blocks(kind, &params.blocks)?;
-    let generation = gateway.store().generation(id, request.generation)?;
+    let generation = gateway.store().fetch(id, request.generation).await?;
     let reference = reference(gateway, id, kind, &generation, &params)?;
     let job = move |control: &dyn sutura_core::control::Control| {
         array::encode(kind, &generation, reference.as_deref(), &params.blocks, form, control)

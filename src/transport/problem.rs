@@ -36,13 +36,16 @@ pub(crate) enum Kind {
     UpgradeRequired,
     Full,
     Internal,
+    Damaged,
     Busy,
     ShuttingDown,
+    StorageFailed,
+    StorageFull,
 }
 
 impl Kind {
     #[cfg(test)]
-    pub(crate) const ALL: [Kind; 27] = [
+    pub(crate) const ALL: [Kind; 30] = [
         Kind::MalformedDocument,
         Kind::MalformedMesh,
         Kind::MalformedParameter,
@@ -68,8 +71,11 @@ impl Kind {
         Kind::UpgradeRequired,
         Kind::Full,
         Kind::Internal,
+        Kind::Damaged,
         Kind::Busy,
         Kind::ShuttingDown,
+        Kind::StorageFailed,
+        Kind::StorageFull,
     ];
 
     /// Status, last part of the `type` URI, and title.
@@ -102,8 +108,11 @@ impl Kind {
             Kind::UpgradeRequired => (426, "upgrade-required", "WebSocket upgrade required"),
             Kind::Full => (429, "full", "As many as allowed exist"),
             Kind::Internal => (500, "internal", "Internal error"),
+            Kind::Damaged => (410, "damaged-data", "Kept data is damaged"),
             Kind::Busy => (503, "busy", "Too busy"),
             Kind::ShuttingDown => (503, "shutting-down", "Shutting down"),
+            Kind::StorageFailed => (503, "storage-failed", "The data directory failed"),
+            Kind::StorageFull => (507, "storage-full", "No room to keep it"),
         }
     }
 
@@ -120,6 +129,8 @@ impl Kind {
 
 /// Seconds after which a refusal for want of room is worth another try.
 const FULL_RETRY_AFTER_S: u64 = 30;
+/// Seconds after which a storage that failed is tried again.
+const STORAGE_RETRY_AFTER_S: u64 = 10;
 /// Seconds a daemon that goes down is given to come back.
 const SHUTDOWN_RETRY_AFTER_S: u64 = 5;
 
@@ -159,8 +170,12 @@ impl Problem {
 
     /// Leaves a trace of what is our own fault.
     pub(crate) fn log(&self) {
-        if self.kind == Kind::Internal {
-            tracing::error!(self.detail, "a request met a defect");
+        match self.kind {
+            Kind::Internal => tracing::error!(self.detail, "a request met a defect"),
+            Kind::StorageFailed | Kind::StorageFull => {
+                tracing::error!(self.detail, "a request could not be made to last");
+            }
+            _ => {}
         }
     }
 
@@ -213,6 +228,9 @@ impl From<&StoreError> for Problem {
             StoreError::Cancelled => Kind::Cancelled,
             StoreError::ShuttingDown => Kind::ShuttingDown,
             StoreError::Failed { .. } => Kind::Internal,
+            StoreError::Damaged { .. } => Kind::Damaged,
+            StoreError::Storage(error) if error.is_full() => Kind::StorageFull,
+            StoreError::Storage(_) => Kind::StorageFailed,
         };
         let pointer = match error {
             StoreError::WrongGeneration { .. } => Some("/base_generation".to_owned()),
@@ -226,6 +244,7 @@ impl From<&StoreError> for Problem {
             StoreError::Busy { retry_after_s } => Some((*retry_after_s).max(1)),
             StoreError::Full { .. } => Some(FULL_RETRY_AFTER_S),
             StoreError::ShuttingDown => Some(SHUTDOWN_RETRY_AFTER_S),
+            StoreError::Storage(_) => Some(STORAGE_RETRY_AFTER_S),
             _ => None,
         };
         Problem { kind, detail: error.to_string(), pointer, retry_after_s }

@@ -31,7 +31,27 @@ pub struct Recipe {
     pub closings: Vec<ClosingReport>,
 }
 
+impl Recipe {
+    /// Of a body as it is built.
+    pub fn of_build(state: EditState) -> Recipe {
+        Recipe {
+            state,
+            method: None,
+            tolerance: 0.0,
+            reuse: None,
+            seams: Arc::default(),
+            skipped: Vec::new(),
+            closings: Vec::new(),
+        }
+    }
+}
+
 impl Artifacts {
+    /// Whether this is what [`build`] made.
+    pub fn is_as_built(&self) -> bool {
+        self.origin.method.is_none()
+    }
+
     /// What makes this generation again ([`remake`]).
     pub fn recipe(&self) -> Recipe {
         Recipe {

@@ -107,7 +107,7 @@ fn recipes_that_nobody_made_are_refused() {
     let refused = |change: &dyn Fn(&mut Recipe)| {
         let mut recipe = good.clone();
         change(&mut recipe);
-        build::remake(&params, &recipe, &[], &Uncontrolled).err().expect("made")
+        build::remake(&params, &recipe, &[], &Uncontrolled).expect_err("made")
     };
     let rule = |tets: Vec<u32>, weights: Vec<f64>| {
         Some((sutura_core::cubature::Rule { tets, weights }, 0.0))

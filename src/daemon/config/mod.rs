@@ -5,6 +5,7 @@
 //! so each default stands once, with its owner. `deploy/sutura.toml` lists everything.
 
 mod bounds;
+mod data;
 mod http;
 mod limits;
 mod log;
@@ -13,6 +14,7 @@ mod traffic;
 mod work;
 mod zenoh;
 
+pub(crate) use data::{DataConfig, DataPath};
 pub(crate) use http::HttpConfig;
 pub(crate) use log::{LogConfig, LogFormat};
 pub(crate) use shutdown::ShutdownConfig;
@@ -25,6 +27,8 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Config {
+    /// Where sessions are kept.
+    pub(crate) data: DataConfig,
     /// Where HTTP is served.
     pub(crate) http: HttpConfig,
     /// Where Zenoh is served, and as whom.

@@ -17,7 +17,7 @@ mod subscriber;
 pub(crate) use error::DemoError;
 pub(crate) use subscriber::{SubscriberArgs, run as watch};
 
-use crate::config::{Config, ZenohEndpoint};
+use crate::config::{Config, DataPath, ZenohEndpoint};
 use crate::daemon::Daemon;
 use crate::picture::{Album, Picture};
 use case::Case;
@@ -73,6 +73,7 @@ impl DemoArgs {
     pub(crate) fn daemon_config(&self) -> Config {
         let free_port = SocketAddr::from(([127, 0, 0, 1], 0));
         let mut config = Config::default();
+        config.data.path = DataPath(None);
         config.http.listen = free_port;
         config.zenoh.listen = ZenohEndpoint(free_port);
         config.log.filter = self.log.clone();

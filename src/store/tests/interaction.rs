@@ -26,7 +26,7 @@ async fn a_grab_pulls_a_vertex_to_its_target_and_a_floor_keeps_it_out() {
     let mut frames = store.subscribe_frames(id).unwrap();
     let height = |frame: &Frame| displacement(&body, frame)[1];
     while height(&*next_frame(&mut frames).await) > -0.003 {}
-    let info = store.simulation(id).unwrap();
+    let info = store.simulation(id).await.unwrap();
     assert_eq!(info.n_grabs, 1);
     assert!(info.interaction_force_n[1] < 0.0);
     // A plane under the bar, into which the grab pulls it.
@@ -38,10 +38,10 @@ async fn a_grab_pulls_a_vertex_to_its_target_and_a_floor_keeps_it_out() {
     while height(&*next_frame(&mut frames).await) < -0.0025 {}
     // It goes on over an edit, and lets go.
     store.edit(id, stitch(&seam())).await.unwrap();
-    assert_eq!(store.simulation(id).unwrap().n_grabs, 1);
+    assert_eq!(store.simulation(id).await.unwrap().n_grabs, 1);
     store.grab(id, Vec::new(), vec![7, 8]).unwrap();
-    assert_eq!(store.simulation(id).unwrap().n_grabs, 0);
-    let info = store.simulation(id).unwrap();
+    assert_eq!(store.simulation(id).await.unwrap().n_grabs, 0);
+    let info = store.simulation(id).await.unwrap();
     assert!(info.error.is_none() && info.n_recovered_steps == 0);
 
     let refused = store.grab(id, vec![GrabConfig { vertex: u32::MAX, ..grab(0.0) }], Vec::new());

@@ -173,7 +173,7 @@ async fn seams(
     id: SessionId,
     query: &Query,
 ) -> Result<(&'static str, Vec<u8>), Problem> {
-    exchange(gateway, query, async |request| command::add_seams(gateway, id, request)).await
+    exchange(gateway, query, async |request| command::add_seams(gateway, id, request).await).await
 }
 
 /// Runs `command` on the document that the query carries and answers in the same form.

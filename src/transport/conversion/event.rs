@@ -33,10 +33,7 @@ pub(crate) fn event(store: &Store, id: SessionId, kind: EventKind) -> Option<Eve
 /// Where a session stands now: the first event of a stream, and what a listener that fell behind
 /// needs.
 pub(crate) fn state(info: &SessionInfo) -> Event {
-    Event::State {
-        state: session::state(info.state),
-        generation: info.generation.as_ref().map_or(0, |generation| generation.number),
-    }
+    Event::State { state: session::state(info.state), generation: info.generation_number }
 }
 
 /// A new generation, for those who follow a session.

@@ -207,20 +207,19 @@ fn tet_stiffness(config: &SessionConfig, mesh: &TetMesh) -> Result<Arc<[f64]>, P
 
 /// The session as clients see it.
 pub(crate) fn info(info: &SessionInfo) -> wire::SessionInfo {
-    let mesh = &info.mesh;
-    let generation = info.generation.as_deref();
-    let artifacts = generation.map(|generation| &*generation.artifacts);
+    let size = &info.size;
+    let artifacts = info.generation.as_deref().map(|generation| &*generation.artifacts);
     wire::SessionInfo {
         id: info.id.to_string(),
         name: Some(info.name.clone()),
         state: state(info.state),
         stage: info.progress.map(|progress| progress.stage.name().to_owned()),
         progress: info.progress.map_or(1.0, |progress| progress.fraction),
-        generation: generation.map_or(0, |generation| generation.number),
-        n_vertices: mesh.vertices().len(),
-        n_tets: mesh.tets().len(),
-        n_domains: mesh.domains().len(),
-        n_components: mesh.n_components(),
+        generation: info.generation_number,
+        n_vertices: size.n_vertices,
+        n_tets: size.n_tets,
+        n_domains: size.n_domains,
+        n_components: size.n_components,
         n_free_dofs: artifacts.map_or(0, |a| a.n_free_dofs()),
         n_rigid_modes: artifacts.map_or(0, |a| a.n_rigid_modes()),
         n_modes: artifacts.map_or(0, |a| a.n_modes()),
@@ -232,7 +231,7 @@ pub(crate) fn info(info: &SessionInfo) -> wire::SessionInfo {
         memory_bytes: artifacts.map_or(0, |a| a.memory_bytes() as u64),
         timings_ms: artifacts.map(|a| stage_milliseconds(a.timings())).unwrap_or_default(),
         warnings: artifacts.map(|a| a.warnings().to_vec()).unwrap_or_default(),
-        parameters: artifacts.map(|a| parameters(a.params(), a.fixed_vertices().len(), mesh)),
+        parameters: artifacts.map(|a| parameters(a.params(), a.fixed_vertices().len(), a.mesh())),
         error: info.error.as_deref().map(|error| problem::of_build(error).to_document()),
     }
 }
@@ -240,6 +239,8 @@ pub(crate) fn info(info: &SessionInfo) -> wire::SessionInfo {
 /// What a session is doing.
 pub(crate) fn state(state: SessionState) -> wire::SessionState {
     match state {
+        SessionState::Stored => wire::SessionState::Stored,
+        SessionState::Restoring => wire::SessionState::Restoring,
         SessionState::Building => wire::SessionState::Building,
         SessionState::Ready => wire::SessionState::Ready,
         SessionState::Rebuilding => wire::SessionState::Rebuilding,

@@ -88,11 +88,11 @@ const ROUTES: &[Route] = &[
         method: HttpMethod::Get,
         path: "/v1/sessions/{id}",
         summary: "Describe a session",
-        query: &[],
+        query: &[("wait_s", "hold the answer until its body is there, at most so many seconds")],
         request: Body::Empty,
         status: 200,
         reply: Body::Json("SessionInfo"),
-        problems: &[],
+        problems: &[Kind::MalformedParameter],
     },
     Route {
         method: HttpMethod::Delete,
@@ -372,7 +372,7 @@ impl Route {
     fn problems(&self) -> BTreeMap<u16, Vec<Kind>> {
         let mut kinds = self.problems.to_vec();
         if self.path.starts_with("/v1") {
-            kinds.push(Kind::Busy);
+            kinds.extend([Kind::Busy, Kind::StorageFailed]);
         }
         if self.path.contains("{id}") {
             kinds.push(Kind::NoSession);
@@ -381,7 +381,7 @@ impl Route {
             kinds.extend([Kind::NoGeneration, Kind::MalformedParameter]);
         }
         if self.method != HttpMethod::Get {
-            kinds.push(Kind::Forbidden);
+            kinds.extend([Kind::Forbidden, Kind::StorageFull]);
         }
         if !matches!(self.request, Body::Empty) {
             kinds.extend([

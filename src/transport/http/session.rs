@@ -13,34 +13,39 @@ use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use std::time::Duration;
 use sutura_proto::session::{ForkRequest, SeamReply, SeamRequest, SessionInfo, SessionList};
+use sutura_store::SessionId;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct CreateParams {
+pub(super) struct WaitParams {
     wait_s: Option<f64>,
 }
 
 /// POST /v1/sessions
 pub(super) async fn create(
     State(gateway): State<Gateway>,
-    Params(params): Params<CreateParams>,
+    Params(params): Params<WaitParams>,
     request: Request,
 ) -> Result<Response, Problem> {
     let wait = wait(&gateway, params.wait_s)?;
     let place = gateway.admit_upload().await?;
     let id = command::create(&gateway, upload(&gateway, request).await?).await?;
     drop(place);
-    let info = match wait {
-        Some(wait) => {
-            // A daemon that goes down answers at once with how things stand.
-            tokio::select! {
-                info = gateway.store().wait_ready(id, wait) => session::info(&info?),
-                () = gateway.wound_down() => command::info(&gateway, id)?,
-            }
-        }
-        None => command::info(&gateway, id)?,
-    };
-    Ok(made(StatusCode::ACCEPTED, info))
+    Ok(made(StatusCode::ACCEPTED, info_in_time(&gateway, id, wait).await?))
+}
+
+/// The session once its body is there, or once the time is over; at once if there is none.
+async fn info_in_time(
+    gateway: &Gateway,
+    id: SessionId,
+    wait: Option<Duration>,
+) -> Result<SessionInfo, Problem> {
+    let Some(wait) = wait else { return command::info(gateway, id) };
+    // A daemon that goes down answers at once with how things stand.
+    tokio::select! {
+        info = gateway.store().wait_ready(id, wait) => Ok(session::info(&info?)),
+        () = gateway.wound_down() => command::info(gateway, id),
+    }
 }
 
 /// How long `?wait_s=` holds the answer.
@@ -96,8 +101,9 @@ pub(super) async fn list(
 pub(super) async fn get(
     State(gateway): State<Gateway>,
     InSession(id): InSession,
+    Params(params): Params<WaitParams>,
 ) -> Result<Json<SessionInfo>, Problem> {
-    command::info(&gateway, id).map(Json)
+    info_in_time(&gateway, id, wait(&gateway, params.wait_s)?).await.map(Json)
 }
 
 /// DELETE /v1/sessions/{id}
@@ -105,7 +111,7 @@ pub(super) async fn delete(
     State(gateway): State<Gateway>,
     InSession(id): InSession,
 ) -> Result<StatusCode, Problem> {
-    gateway.store().delete(id)?;
+    gateway.store().delete(id).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
@@ -116,7 +122,7 @@ pub(super) async fn fork(
     DocumentOrDefault(request): DocumentOrDefault<ForkRequest>,
 ) -> Result<Response, Problem> {
     request.validate()?;
-    let fork = gateway.store().fork(id, request.name)?;
+    let fork = gateway.store().fork(id, request.name).await?;
     Ok(made(StatusCode::CREATED, command::info(&gateway, fork)?))
 }
 
@@ -126,5 +132,5 @@ pub(super) async fn add_seams(
     InSession(id): InSession,
     Document(request): Document<SeamRequest>,
 ) -> Result<(StatusCode, Json<SeamReply>), Problem> {
-    Ok((StatusCode::ACCEPTED, Json(command::add_seams(&gateway, id, request)?)))
+    Ok((StatusCode::ACCEPTED, Json(command::add_seams(&gateway, id, request).await?)))
 }

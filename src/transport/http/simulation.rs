@@ -25,7 +25,7 @@ pub(super) async fn get(
     State(gateway): State<Gateway>,
     InSession(id): InSession,
 ) -> Result<Json<SimulationInfo>, Problem> {
-    simulation::info(&gateway.store().simulation(id)?).map(Json)
+    simulation::info(&gateway.store().simulation(id).await?).map(Json)
 }
 
 /// DELETE /v1/sessions/{id}/simulation
@@ -33,7 +33,7 @@ pub(super) async fn delete(
     State(gateway): State<Gateway>,
     InSession(id): InSession,
 ) -> Result<StatusCode, Problem> {
-    gateway.store().stop_simulation(id)?;
+    gateway.store().stop_simulation(id).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 

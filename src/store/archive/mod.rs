@@ -1,0 +1,460 @@
+//! Sessions on a [`Storage`].
+//!
+//! `sessions/<id>` is a session's journal: records, each with a checksum ([`frame`]). The first says what
+//! the session began with, each further one of a generation is complete in itself ([`record`]): the
+//! last ones are enough, and a damaged one costs its own generation alone. `meshes/<sha-256>` are
+//! meshes, under the name of their contents, shared by the sessions that name them.
+//!
+//! A session exists while its journal does. Meshes are written before the journal that names them and
+//! deleted after it.
+
+pub(crate) mod frame;
+pub(crate) mod record;
+
+use crate::error::StoreError;
+use crate::session::{Generation, MeshSize, SessionId};
+use crate::simulation::SimulationConfig;
+use crate::storage::{Storage, StorageError};
+use frame::Digest;
+use record::{
+    GenerationRecord, MeshRecord, ParamsRecord, Record, SessionRecord, SimulationRecord,
+    SizeRecord, Unreadable,
+};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::SystemTime;
+use sutura_core::build::BuildParams;
+use sutura_core::mesh::TetMesh;
+
+const SESSIONS: &str = "sessions";
+const MESHES: &str = "meshes";
+
+/// Generations in a journal, as a multiple of those that are kept, beyond which the old ones are left out.
+const COMPACTION_FACTOR: usize = 4;
+
+/// Every session of a storage. Calls block: they belong on a pool.
+#[derive(Debug)]
+pub(crate) struct Archive {
+    storage: Arc<dyn Storage>,
+    /// Locked while a mesh is written or deleted, so that none is deleted that is about to be named.
+    meshes: Mutex<Meshes>,
+}
+
+#[derive(Debug, Default)]
+struct Meshes {
+    /// The meshes there are, with the sessions that name them.
+    users: BTreeMap<Digest, BTreeSet<SessionId>>,
+    /// Those found damaged: they are written again when somebody brings them.
+    damaged: BTreeSet<Digest>,
+    /// Names of meshes in memory.
+    known: Vec<(Weak<TetMesh>, Digest)>,
+}
+
+/// A session as its journal tells of it, without its body.
+pub(crate) struct Found {
+    pub(crate) journal: Journal,
+    /// When it was changed last.
+    pub(crate) modified: Option<SystemTime>,
+    /// What is in it, unless that cannot be read.
+    pub(crate) contents: Result<Contents, StoreError>,
+}
+
+/// What a journal says.
+pub(crate) struct Contents {
+    pub(crate) session: SessionRecord,
+    /// In the order of their numbers.
+    pub(crate) generations: Vec<GenerationRecord>,
+    pub(crate) seams: Vec<[u32; 2]>,
+    pub(crate) simulation: Option<SimulationConfig>,
+}
+
+impl Contents {
+    /// The number of the current generation.
+    pub(crate) fn generation(&self) -> u64 {
+        self.generations.last().map_or(0, |generation| generation.number)
+    }
+
+    pub(crate) fn size(&self) -> MeshSize {
+        let SizeRecord { n_vertices, n_tets, n_domains, n_components } = self.session.size;
+        let of = |n: u64| usize::try_from(n).unwrap_or(usize::MAX);
+        MeshSize {
+            n_vertices: of(n_vertices),
+            n_tets: of(n_tets),
+            n_domains: of(n_domains),
+            n_components: of(n_components),
+        }
+    }
+
+    fn meshes(&self) -> impl Iterator<Item = Digest> {
+        let of_generations = self.generations.iter().map(|generation| generation.recipe.mesh);
+        of_generations.chain([self.session.mesh])
+    }
+}
+
+/// A session's name and what generations it begins with.
+pub(crate) struct Beginning<'a> {
+    pub(crate) name: &'a str,
+    pub(crate) mesh: &'a Arc<TetMesh>,
+    pub(crate) params: &'a BuildParams,
+    pub(crate) generations: Vec<Arc<Generation>>,
+    pub(crate) seams: Vec<[u32; 2]>,
+}
+
+fn journal_name(id: SessionId) -> String {
+    format!("{SESSIONS}/{id}")
+}
+
+fn mesh_name(mesh: &Digest) -> String {
+    format!("{MESHES}/{}", frame::hex(mesh))
+}
+
+fn damaged(name: &str, why: impl std::fmt::Display) -> StoreError {
+    StoreError::Damaged { name: name.to_owned(), why: why.to_string() }
+}
+
+fn unwritable(error: Unreadable) -> StoreError {
+    tracing::error!(%error, "a record could not be written");
+    StoreError::Failed { what: "writing a record" }
+}
+
+impl Archive {
+    /// Finds every session, and clears away meshes that none of them names.
+    pub(crate) fn open(
+        storage: Arc<dyn Storage>,
+    ) -> Result<(Arc<Archive>, Vec<Found>), StorageError> {
+        let archive = Arc::new(Archive { storage, meshes: Mutex::default() });
+        let mut found = Vec::new();
+        for entry in archive.storage.list(SESSIONS)? {
+            let id = entry.name.strip_prefix(SESSIONS).and_then(|name| name.strip_prefix('/'));
+            let Some(id) = id.and_then(|name| name.parse().ok()) else {
+                tracing::warn!(name = entry.name, "no journal of a session; left alone");
+                continue;
+            };
+            let bytes = archive.storage.get(&entry.name)?.unwrap_or_default();
+            let read = frame::frames(&bytes);
+            if read.end < bytes.len() {
+                let n_bytes = bytes.len() - read.end;
+                tracing::warn!(session = %id, n_bytes, "the journal ends in a damaged part, which is cut off");
+            }
+            if read.n_damaged > 0 {
+                let n_places = read.n_damaged;
+                tracing::error!(session = %id, n_places, "the journal is damaged in its midst: generations are missing");
+            }
+            let contents = contents(&entry.name, &read);
+            if let Ok(contents) = &contents {
+                archive.lock().use_meshes(id, contents.meshes());
+            }
+            let n_generations = contents.as_ref().map_or(0, |c| c.generations.len());
+            let tail = Tail { end: read.end as u64, n_generations, is_deleted: false };
+            let journal = Journal { archive: archive.clone(), id, tail: Mutex::new(tail) };
+            found.push(Found { journal, modified: entry.modified, contents });
+        }
+        if found.iter().all(|found| found.contents.is_ok()) {
+            archive.sweep()?;
+        }
+        Ok((archive, found))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Meshes> {
+        self.meshes.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn sweep(&self) -> Result<(), StorageError> {
+        let meshes = self.lock();
+        let names: BTreeSet<String> = meshes.users.keys().map(mesh_name).collect();
+        for entry in self.storage.list(MESHES)? {
+            if !names.contains(&entry.name) {
+                tracing::info!(name = entry.name, "a mesh of no session is cleared away");
+                self.storage.delete(&entry.name)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Begins a session's journal; the session lasts once this has returned.
+    pub(crate) fn begin(
+        self: &Arc<Self>,
+        id: SessionId,
+        beginning: &Beginning<'_>,
+    ) -> Result<Journal, StoreError> {
+        let Beginning { name, mesh, params, generations, seams } = beginning;
+        let MeshSize { n_vertices, n_tets, n_domains, n_components } = MeshSize::of(mesh);
+        let session = Record::Session(Box::new(SessionRecord {
+            name: (*name).to_owned(),
+            mesh: self.mesh_name_of(id, mesh)?,
+            size: SizeRecord {
+                n_vertices: n_vertices as u64,
+                n_tets: n_tets as u64,
+                n_domains: n_domains as u64,
+                n_components: n_components as u64,
+            },
+            params: ParamsRecord::new(params),
+        }));
+        let mut bytes = framed(&session)?;
+        for generation in generations {
+            bytes.extend(framed(&self.generation_record(id, generation)?)?);
+        }
+        if !seams.is_empty() {
+            bytes.extend(framed(&Record::Seams(seams.clone()))?);
+        }
+        if let Err(error) = self.storage.put(&journal_name(id), &bytes) {
+            self.forget(id);
+            return Err(error.into());
+        }
+        let tail =
+            Tail { end: bytes.len() as u64, n_generations: generations.len(), is_deleted: false };
+        Ok(Journal { archive: self.clone(), id, tail: Mutex::new(tail) })
+    }
+
+    fn generation_record(
+        &self,
+        id: SessionId,
+        generation: &Generation,
+    ) -> Result<Record, StoreError> {
+        let recipe = generation.artifacts.recipe();
+        let mesh = self.mesh_name_of(id, recipe.state.base().mesh())?;
+        Ok(Record::Generation(Box::new(GenerationRecord::new(generation, &recipe, mesh))))
+    }
+
+    /// The name under which the mesh is kept, from now on if it was not yet.
+    fn mesh_name_of(&self, id: SessionId, mesh: &Arc<TetMesh>) -> Result<Digest, StoreError> {
+        let mut meshes = self.lock();
+        let known = meshes.known.iter().find(|(known, _)| known.as_ptr() == Arc::as_ptr(mesh));
+        // A pointer is not given to another mesh while somebody holds a weak one.
+        let known = known.map(|(_, name)| *name);
+        let name = match known.filter(|name| meshes.has(name)) {
+            Some(name) => name,
+            None => {
+                let contents = record::encode(&MeshRecord::new(mesh)).map_err(unwritable)?;
+                let name = frame::digest(&contents);
+                if !meshes.has(&name) {
+                    self.storage.put(&mesh_name(&name), &frame::frame(&contents))?;
+                    meshes.damaged.remove(&name);
+                }
+                meshes.known.retain(|(known, _)| known.strong_count() > 0);
+                meshes.known.push((Arc::downgrade(mesh), name));
+                name
+            }
+        };
+        meshes.use_meshes(id, [name]);
+        Ok(name)
+    }
+
+    /// A mesh by its name.
+    pub(crate) fn mesh(&self, name: &Digest) -> Result<Arc<TetMesh>, StoreError> {
+        let in_memory = |meshes: &Meshes| {
+            let known = meshes.known.iter().filter(|(_, known)| known == name);
+            known.filter_map(|(mesh, _)| mesh.upgrade()).next()
+        };
+        if let Some(mesh) = in_memory(&self.lock()) {
+            return Ok(mesh);
+        }
+        let blob = mesh_name(name);
+        let read = || {
+            let bytes = self.storage.get(&blob)?.ok_or_else(|| damaged(&blob, "it is missing"))?;
+            let read = frame::frames(&bytes);
+            let contents = match read.whole[..] {
+                [contents] if frame::digest(contents) == *name => contents,
+                _ if read.has_later_version => {
+                    return Err(damaged(&blob, "it was written by a later version"));
+                }
+                _ => return Err(damaged(&blob, "its checksum is wrong")),
+            };
+            let mesh = record::decode::<MeshRecord>(contents).and_then(MeshRecord::mesh);
+            mesh.map(Arc::new).map_err(|error| damaged(&blob, error))
+        };
+        let mesh = read();
+        let mut meshes = self.lock();
+        match &mesh {
+            Ok(mesh) => meshes.known.push((Arc::downgrade(mesh), *name)),
+            Err(StoreError::Damaged { .. }) => {
+                meshes.damaged.insert(*name);
+            }
+            Err(_) => {}
+        }
+        mesh
+    }
+
+    /// Clears away the meshes that only this session named.
+    fn forget(&self, id: SessionId) {
+        let mut meshes = self.lock();
+        let mut unused = Vec::new();
+        for (name, users) in &mut meshes.users {
+            if users.remove(&id) && users.is_empty() {
+                unused.push(*name);
+            }
+        }
+        for name in unused {
+            meshes.users.remove(&name);
+            if let Err(error) = self.storage.delete(&mesh_name(&name)) {
+                // The next start tries again.
+                tracing::warn!(%error, "a mesh of no session is left behind");
+            }
+        }
+    }
+}
+
+impl Meshes {
+    fn has(&self, name: &Digest) -> bool {
+        self.users.contains_key(name) && !self.damaged.contains(name)
+    }
+
+    fn use_meshes(&mut self, id: SessionId, names: impl IntoIterator<Item = Digest>) {
+        for name in names {
+            self.users.entry(name).or_default().insert(id);
+        }
+    }
+}
+
+fn framed(record: &Record) -> Result<Vec<u8>, StoreError> {
+    record::encode(record).map(|contents| frame::frame(&contents)).map_err(unwritable)
+}
+
+fn contents(name: &str, read: &frame::Frames<'_>) -> Result<Contents, StoreError> {
+    if read.has_later_version {
+        return Err(damaged(name, "it was written by a later version"));
+    }
+    let mut records = read.whole.iter().map(|contents| record::decode::<Record>(contents));
+    let first = records.next().transpose().map_err(|error| damaged(name, error))?;
+    let Some(Record::Session(session)) = first else {
+        return Err(damaged(name, "its beginning cannot be read"));
+    };
+    let mut contents = Contents {
+        session: *session,
+        generations: Vec::new(),
+        seams: Vec::new(),
+        simulation: None,
+    };
+    let mut generations = BTreeMap::new();
+    for record in records {
+        match record.map_err(|error| damaged(name, error))? {
+            Record::Session(_) => return Err(damaged(name, "it begins twice")),
+            Record::Generation(generation) => {
+                generations.insert(generation.number, *generation);
+            }
+            Record::Seams(pairs) => contents.seams.extend(pairs),
+            Record::Simulation(simulation) => {
+                contents.simulation = simulation.as_ref().map(SimulationRecord::config);
+            }
+        }
+    }
+    contents.generations = generations.into_values().collect();
+    Ok(contents)
+}
+
+/// A session's journal. A record that could not be written whole is as if it had never been.
+#[derive(Debug)]
+pub(crate) struct Journal {
+    archive: Arc<Archive>,
+    id: SessionId,
+    tail: Mutex<Tail>,
+}
+
+#[derive(Debug)]
+struct Tail {
+    /// Where the last whole record ends.
+    end: u64,
+    n_generations: usize,
+    is_deleted: bool,
+}
+
+impl Journal {
+    pub(crate) fn archive(&self) -> &Arc<Archive> {
+        &self.archive
+    }
+
+    pub(crate) fn id(&self) -> SessionId {
+        self.id
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Tail> {
+        self.tail.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Makes a generation last.
+    pub(crate) fn add_generation(&self, generation: &Generation) -> Result<(), StoreError> {
+        let record = self.archive.generation_record(self.id, generation)?;
+        self.append(&record)
+    }
+
+    /// Makes the names of candidate pairs last.
+    pub(crate) fn add_seams(&self, pairs: &[[u32; 2]]) -> Result<(), StoreError> {
+        self.append(&Record::Seams(pairs.to_vec()))
+    }
+
+    /// Makes it last how the session is simulated, if it is.
+    pub(crate) fn set_simulation(
+        &self,
+        config: Option<&SimulationConfig>,
+    ) -> Result<(), StoreError> {
+        self.append(&Record::Simulation(config.map(SimulationRecord::new)))
+    }
+
+    fn append(&self, record: &Record) -> Result<(), StoreError> {
+        let bytes = framed(record)?;
+        let mut tail = self.lock();
+        if tail.is_deleted {
+            return Err(StoreError::NoSession(self.id));
+        }
+        self.archive.storage.append(&journal_name(self.id), tail.end, &bytes)?;
+        tail.end += bytes.len() as u64;
+        tail.n_generations += usize::from(matches!(record, Record::Generation(_)));
+        Ok(())
+    }
+
+    /// What the journal says now.
+    pub(crate) fn read(&self) -> Result<Contents, StoreError> {
+        self.read_until(self.lock().end)
+    }
+
+    fn read_until(&self, end: u64) -> Result<Contents, StoreError> {
+        let name = journal_name(self.id);
+        let bytes = self.archive.storage.get(&name)?;
+        let bytes = bytes.ok_or_else(|| damaged(&name, "it is missing"))?;
+        let end = usize::try_from(end).unwrap_or(usize::MAX).min(bytes.len());
+        contents(&name, &frame::frames(&bytes[..end]))
+    }
+
+    /// Whether the journal holds many more generations than the session keeps.
+    pub(crate) fn is_long(&self, n_kept: usize) -> bool {
+        self.lock().n_generations > n_kept * COMPACTION_FACTOR
+    }
+
+    /// Leaves out the generations that the session keeps no longer.
+    pub(crate) fn compact(&self, n_kept: usize) -> Result<(), StoreError> {
+        let mut tail = self.lock();
+        if tail.is_deleted {
+            return Err(StoreError::NoSession(self.id));
+        }
+        let mut contents = self.read_until(tail.end)?;
+        let n_dropped = contents.generations.len().saturating_sub(n_kept);
+        contents.generations.drain(..n_dropped);
+        let n_generations = contents.generations.len();
+        let mut records = vec![Record::Session(Box::new(contents.session))];
+        records.extend(contents.generations.into_iter().map(|g| Record::Generation(Box::new(g))));
+        if !contents.seams.is_empty() {
+            records.push(Record::Seams(contents.seams));
+        }
+        if let Some(config) = &contents.simulation {
+            records.push(Record::Simulation(Some(SimulationRecord::new(config))));
+        }
+        let mut bytes = Vec::new();
+        for record in &records {
+            bytes.extend(framed(record)?);
+        }
+        self.archive.storage.put(&journal_name(self.id), &bytes)?;
+        *tail = Tail { end: bytes.len() as u64, n_generations, is_deleted: false };
+        Ok(())
+    }
+
+    /// Ends the session for good.
+    pub(crate) fn delete(&self) -> Result<(), StoreError> {
+        let mut tail = self.lock();
+        if !tail.is_deleted {
+            self.archive.storage.delete(&journal_name(self.id))?;
+            tail.is_deleted = true;
+            self.archive.forget(self.id);
+        }
+        Ok(())
+    }
+}

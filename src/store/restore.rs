@@ -1,0 +1,193 @@
+//! Bodies of sessions that earlier processes left, made again from what is kept of them.
+
+use crate::archive::record::GenerationRecord;
+use crate::archive::{Contents, Found, Journal};
+use crate::control::TaskControl;
+use crate::error::StoreError;
+use crate::live::LiveSession;
+use crate::pool::{CancelFlag, catching};
+use crate::prepared::PreparedBodies;
+use crate::session::Generation;
+use crate::store::{PREPARATION, Shared};
+use crate::tasks::DEFAULT_TOLERANCE;
+use std::sync::{Arc, PoisonError};
+use sutura_core::build::{Artifacts, BuildParams, Recipe, remake};
+use sutura_core::control::Control;
+use sutura_core::edit::EditState;
+
+impl Shared {
+    /// Takes in the sessions of earlier processes and begins to restore them, simulated ones first, then the
+    /// last changed.
+    pub(crate) fn adopt(self: &Arc<Self>, found: Vec<Found>) {
+        let mut order = Vec::new();
+        let mut sessions = self.sessions.write().unwrap_or_else(PoisonError::into_inner);
+        for found in found {
+            let modified = found.modified;
+            let session = Arc::new(LiveSession::found(found, self.surroundings.clone()));
+            order.push((session.has_simulation_config(), modified, session.id));
+            sessions.insert(session.id, session);
+        }
+        drop(sessions);
+        if order.is_empty() {
+            return;
+        }
+        tracing::info!(n_sessions = order.len(), "sessions found");
+        order.sort_unstable();
+        let waiting = order.into_iter().map(|(_, _, id)| id).collect();
+        *self.to_restore.lock().unwrap_or_else(PoisonError::into_inner) = waiting;
+        self.restore_next();
+    }
+
+    /// Queues the next session to restore, behind everything that somebody waits for.
+    fn restore_next(self: &Arc<Self>) {
+        let next = || self.to_restore.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        while let Some(id) = next() {
+            let sessions = self.sessions.read().unwrap_or_else(PoisonError::into_inner);
+            let Some(session) = sessions.get(&id).cloned() else { continue };
+            drop(sessions);
+            let store = Arc::downgrade(self);
+            let run = move |cancel: &CancelFlag| {
+                let Some(store) = store.upgrade() else { return };
+                // What went wrong is in the log, and whoever asks for the session hears it.
+                let _ = store.restore(&session, cancel);
+                store.follow_up(&session);
+                store.restore_next();
+            };
+            match self.builds.submit(PREPARATION, Some(id), run) {
+                Ok(_) => return,
+                Err(error) => tracing::debug!(session = %id, %error, "not restored ahead"),
+            }
+        }
+    }
+
+    /// Makes the body of `session` again, if it is not in memory; for the build pool, in its lane.
+    pub(crate) fn restore(
+        self: &Arc<Self>,
+        session: &Arc<LiveSession>,
+        cancel: &CancelFlag,
+    ) -> Result<(), StoreError> {
+        let Some(journal) = session.journal.as_ref() else { return Ok(()) };
+        if !session.begin_restore() {
+            return Ok(());
+        }
+        let _span = tracing::info_span!("restore", session = %session.id).entered();
+        let work = &self.config.work;
+        let control = TaskControl::reporting(cancel, session, work.progress_interval);
+        let n_kept = work.n_kept_generations.max(1);
+        let restored =
+            catching("restoring", || generations(journal, n_kept, &self.prepared, &control));
+        match restored {
+            Ok(generations) => {
+                tracing::info!(
+                    n_generations = generations.len(),
+                    seconds = control.now().as_secs_f64(),
+                    "session restored"
+                );
+                session.restored(Ok(generations));
+                self.resume_simulation(session);
+                Ok(())
+            }
+            Err(error @ (StoreError::Cancelled | StoreError::Storage(_))) => {
+                tracing::warn!(%error, "session not restored");
+                session.restored(Err(None));
+                Err(error)
+            }
+            Err(error) => {
+                tracing::error!(%error, "the session cannot be restored");
+                session.restored(Err(Some(error)));
+                Ok(())
+            }
+        }
+    }
+
+    /// Simulates the session as the earlier process did, from rest.
+    fn resume_simulation(self: &Arc<Self>, session: &Arc<LiveSession>) {
+        let Some(config) = session.take_simulation_config() else { return };
+        match self.simulate(session, &config) {
+            Ok(handle) => {
+                if !config.obstacles.is_empty() {
+                    handle.update_surface();
+                }
+                tracing::info!("simulation started again, from rest");
+            }
+            Err(error) => tracing::warn!(%error, "simulation not started again"),
+        }
+    }
+}
+
+/// The generations that the session keeps.
+fn generations(
+    journal: &Journal,
+    n_kept: usize,
+    prepared: &PreparedBodies,
+    control: &dyn Control,
+) -> Result<Vec<Arc<Generation>>, StoreError> {
+    let Contents { session, generations: mut records, .. } = journal.read()?;
+    let unreadable = |error: crate::archive::record::Unreadable| StoreError::Damaged {
+        name: format!("the journal of session {}", journal.id()),
+        why: error.to_string(),
+    };
+    let params = session.params.params().map_err(unreadable)?;
+    records.drain(..records.len().saturating_sub(n_kept));
+    let current = records.last().map_or(0, |record| record.number);
+    let mut made: Vec<Arc<Generation>> = Vec::new();
+    // Those of a session on an equal mesh share what they can.
+    let kin = |made: &[Arc<Generation>]| {
+        let own = made.iter().map(|generation| generation.artifacts.clone());
+        own.chain(prepared.all()).collect::<Vec<_>>()
+    };
+    let is_first_kept = current < n_kept as u64 && records.first().is_none_or(|r| r.number > 0);
+    if is_first_kept {
+        let mesh = journal.archive().mesh(&session.mesh)?;
+        let recipe = Recipe::of_build(EditState::new(mesh, &params.fixed_vertices));
+        let begun = control.now();
+        let artifacts = remade(&params, &recipe, &kin(&made), prepared, control)?;
+        made.push(Arc::new(Generation {
+            number: 0,
+            artifacts,
+            made_by: None,
+            tolerance: DEFAULT_TOLERANCE,
+            improves: None,
+            stitch_ids: Vec::new(),
+            computed_in: control.now().saturating_sub(begun),
+        }));
+    }
+    for record in records {
+        let number = record.number;
+        let remade = |record: &GenerationRecord| {
+            let mesh = journal.archive().mesh(&record.recipe.mesh)?;
+            let recipe = record.recipe.recipe(mesh).map_err(unreadable)?;
+            remade(&params, &recipe, &kin(&made), prepared, control)
+        };
+        match remade(&record) {
+            Ok(artifacts) => made.push(Arc::new(record.generation(artifacts))),
+            Err(error @ (StoreError::Cancelled | StoreError::Storage(_))) => return Err(error),
+            Err(error) if number == current => return Err(error),
+            Err(error) => tracing::error!(number, %error, "an earlier generation is lost"),
+        }
+    }
+    Ok(made)
+}
+
+/// The body of a recipe: one that is there, or a new one.
+fn remade(
+    params: &BuildParams,
+    recipe: &Recipe,
+    kin: &[Arc<Artifacts>],
+    prepared: &PreparedBodies,
+    control: &dyn Control,
+) -> Result<Arc<Artifacts>, StoreError> {
+    if let Some(same) = kin.iter().find(|body| body.params() == params && body.recipe() == *recipe)
+    {
+        return Ok(same.clone());
+    }
+    let body = Arc::new(remake(params, recipe, kin, control)?);
+    if control.is_cancelled() {
+        return Err(StoreError::Cancelled);
+    }
+    prepared.add(&body);
+    Ok(body)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,391 @@
+//! Stores that go down and come back: on real files, and on a storage that fails when it is told to.
+
+use crate::storage::{Entry, LocalFiles, Storage, StorageError};
+use crate::tests::{PATIENCE, create_bars, current, ready, seam, simulation, stitch};
+use crate::{
+    EditRequest, Generation, GenerationRef, SessionId, SessionState, Store, StoreConfig, StoreError,
+};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::io::{Error, ErrorKind};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::time::Duration;
+use sutura_core::edit::Edit;
+
+fn open(folder: &Path) -> Store {
+    let files = Arc::new(LocalFiles::open(folder).unwrap());
+    Store::open(StoreConfig::default(), files).unwrap()
+}
+
+/// The store goes down: its folder can be opened again.
+async fn close(store: Store) {
+    assert!(store.shutdown(PATIENCE).await);
+}
+
+/// A generation as its numbers tell it: the same bits or not the same.
+fn print(generation: &Generation) -> Vec<u64> {
+    let body = &generation.artifacts;
+    let q: Vec<f64> = (0..body.basis_size()).map(|i| 1e-4 / (1.0 + i as f64)).collect();
+    let at = body.model().evaluate(&q);
+    let exact = body.evaluate_exact(&q);
+    [at.energy_j, exact.energy_j, generation.tolerance]
+        .into_iter()
+        .chain(at.force)
+        .chain(exact.stiffness)
+        .chain(body.eigenvalues_per_s2().iter().copied())
+        .map(f64::to_bits)
+        .chain(generation.stitch_ids.iter().copied())
+        .chain([generation.number, generation.improves.unwrap_or(u64::MAX)])
+        .collect()
+}
+
+/// Every kept generation of a session.
+fn prints(store: &Store, id: SessionId) -> Vec<Vec<u64>> {
+    let newest = current(store, id).number;
+    (0..=newest)
+        .filter_map(|number| store.generation(id, GenerationRef::Number(number)).ok())
+        .map(|generation| print(&generation))
+        .collect()
+}
+
+fn edits(edits: Vec<Edit>) -> EditRequest {
+    EditRequest { edits, ..stitch(&[]) }
+}
+
+async fn settled(store: &Store, id: SessionId) {
+    // What a deadline leaves undone is done behind it, as a further generation.
+    while current(store, id).artifacts.certificate().is_unfinished {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn everything_acknowledged_is_there_again_with_the_same_bits() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path());
+    let id = ready(&store).await;
+    let seam = seam();
+    store.edit(id, stitch(&seam[..2])).await.unwrap();
+    assert_eq!(store.add_seams(id, seam.clone()).await.unwrap(), seam.len());
+    let hurried = EditRequest { deadline: Some(Duration::ZERO), ..stitch(&seam[2..5]) };
+    store.edit(id, hurried).await.unwrap();
+    settled(&store, id).await;
+    store.edit(id, edits(vec![Edit::ScaleStiffness { domain: 0, factor: 2.0 }])).await.unwrap();
+    let undone = EditRequest { restore: Some(1), ..edits(Vec::new()) };
+    store.edit(id, undone).await.unwrap();
+    let refused = store.edit(id, stitch(&seam[..2])).await;
+    assert!(matches!(refused, Err(StoreError::Edit(_))));
+    let fork = store.fork(id, Some("fork".into())).await.unwrap();
+    store.edit(fork, edits(vec![Edit::Unstitch { stitch_ids: vec![0] }])).await.unwrap();
+    store.put_simulation(fork, simulation()).await.unwrap();
+    let deleted = ready(&store).await;
+    store.delete(deleted).await.unwrap();
+    let (before, of_fork) = (prints(&store, id), prints(&store, fork));
+    assert!(before.len() >= 5);
+    close(store).await;
+
+    let store = open(folder.path());
+    assert_eq!(store.list(None, 10).len(), 2);
+    let info = store.info(id).unwrap();
+    assert_eq!((info.generation_number, &*info.name), (current_of(&before), "bars"));
+    let info = store.wait_ready(id, PATIENCE).await.unwrap();
+    assert_eq!(info.state, SessionState::Ready, "{:?}", info.error);
+    store.wake(fork).await.unwrap();
+    assert!(prints(&store, id) == before);
+    assert!(prints(&store, fork) == of_fork);
+    assert_eq!(store.info(fork).unwrap().name, "fork");
+    // It is simulated again, from rest, and the other one is not.
+    assert_eq!(store.simulation(fork).await.unwrap().config, simulation());
+    assert!(matches!(store.simulation(id).await, Err(StoreError::NoSimulation)));
+    assert!(matches!(store.info(deleted), Err(StoreError::NoSession(_))));
+
+    // Names of stitches go on where they were.
+    let next = store.edit(id, stitch(&seam[6..7])).await.unwrap();
+    assert_eq!(next.stitch_ids, [2]);
+    store.stop_simulation(fork).await.unwrap();
+    let after = prints(&store, id);
+    close(store).await;
+    let store = open(folder.path());
+    store.wake(id).await.unwrap();
+    assert!(prints(&store, id) == after);
+    assert!(matches!(store.simulation(fork).await, Err(StoreError::NoSimulation)));
+    close(store).await;
+}
+
+fn current_of(prints: &[Vec<u64>]) -> u64 {
+    let last = prints.last().unwrap();
+    last[last.len() - 2]
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn closed_bodies_and_long_lines_of_generations_come_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut request = create_bars();
+    // The second bar stands off.
+    let mesh = &request.mesh;
+    let moved: Vec<[f64; 3]> = (0..)
+        .zip(mesh.vertices())
+        .map(
+            |(v, x)| {
+                if mesh.component_of_vertex()[v] == 0 { *x } else { [x[0] + 1e-3, x[1], x[2]] }
+            },
+        )
+        .collect();
+    let moved = sutura_core::mesh::TetMesh::new(moved, mesh.tets().to_vec(), Vec::new());
+    request.mesh = Arc::new(moved.unwrap());
+    let store = open(folder.path());
+    let id = store.create(request).await.unwrap();
+    store.wait_ready(id, PATIENCE).await.unwrap();
+    let close_gap = Edit::Close { pairs: seam(), stiffness_n_m: 1e5, max_gap_m: None };
+    store.edit(id, edits(vec![close_gap])).await.unwrap();
+    let n_kept = store.config().work.n_kept_generations;
+    // Far more generations than are kept: the journal is shortened behind them.
+    for _ in 0..5 * n_kept {
+        let again =
+            |stiffness_n_m| edits(vec![Edit::SetStiffness { stitch_ids: vec![0], stiffness_n_m }]);
+        let number = current(&store, id).number as f64;
+        store.edit(id, again(1e4 + number)).await.unwrap();
+    }
+    let before = prints(&store, id);
+    assert_eq!(before.len(), n_kept);
+    close(store).await;
+    let journal = std::fs::metadata(folder.path().join(format!("sessions/{id}"))).unwrap();
+    let store = open(folder.path());
+    store.wake(id).await.unwrap();
+    assert!(prints(&store, id) == before);
+    let per_generation = journal.len() as usize / (5 * n_kept + 1);
+    assert!(per_generation < 4096, "{per_generation}");
+    // Both meshes, the open and the closed one, go with the session.
+    store.delete(id).await.unwrap();
+    close(store).await;
+    assert_eq!(files(folder.path()).len(), 2, "{:?}", files(folder.path()));
+}
+
+/// The files of a folder: `format` and `lock` are always there.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() { found.extend(files(&path)) } else { found.push(path) }
+    }
+    found.sort();
+    found
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_session_whose_build_was_cut_off_is_built() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path());
+    let id = store.create(create_bars()).await.unwrap();
+    close(store).await;
+    let store = open(folder.path());
+    let info = store.wait_ready(id, PATIENCE).await.unwrap();
+    assert_eq!((info.state, info.generation_number), (SessionState::Ready, 0));
+    close(store).await;
+}
+
+/// Works until it is told to fail.
+#[derive(Debug)]
+struct Failing {
+    files: LocalFiles,
+    /// Writes that still succeed; negative: all.
+    left: AtomicI64,
+    kind: ErrorKind,
+}
+
+impl Failing {
+    fn attempt(&self, name: &str) -> Result<(), StorageError> {
+        let left = self.left.load(Ordering::SeqCst);
+        if left < 0 {
+            return Ok(());
+        }
+        if left == 0 {
+            let (action, name) = ("testing", name.to_owned());
+            return Err(StorageError { action, name, source: Error::from(self.kind) });
+        }
+        self.left.fetch_sub(1, Ordering::SeqCst);
+        Ok(())
+    }
+}
+
+impl Storage for Failing {
+    fn get(&self, name: &str) -> Result<Option<Vec<u8>>, StorageError> {
+        self.files.get(name)
+    }
+    fn put(&self, name: &str, bytes: &[u8]) -> Result<(), StorageError> {
+        self.attempt(name)?;
+        self.files.put(name, bytes)
+    }
+    fn append(&self, name: &str, offset: u64, bytes: &[u8]) -> Result<(), StorageError> {
+        if let Err(error) = self.attempt(name) {
+            // Half of it has got through.
+            self.files.append(name, offset, &bytes[..bytes.len() / 2])?;
+            return Err(error);
+        }
+        self.files.append(name, offset, bytes)
+    }
+    fn delete(&self, name: &str) -> Result<(), StorageError> {
+        self.attempt(name)?;
+        self.files.delete(name)
+    }
+    fn list(&self, prefix: &str) -> Result<Vec<Entry>, StorageError> {
+        self.files.list(prefix)
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_cannot_be_kept_is_refused_and_nothing_else_is_lost() {
+    let folder = tempfile::tempdir().unwrap();
+    let storage = Arc::new(Failing {
+        files: LocalFiles::open(folder.path()).unwrap(),
+        left: AtomicI64::new(-1),
+        kind: ErrorKind::StorageFull,
+    });
+    let store = Store::open(StoreConfig::default(), storage.clone()).unwrap();
+    let id = ready(&store).await;
+    store.edit(id, stitch(&seam()[..1])).await.unwrap();
+    storage.left.store(0, Ordering::SeqCst);
+    let full = |error: StoreError| {
+        assert!(matches!(&error, StoreError::Storage(error) if error.is_full()), "{error}");
+    };
+    full(store.edit(id, stitch(&seam()[1..2])).await.unwrap_err());
+    full(store.create(create_bars()).await.unwrap_err());
+    full(store.fork(id, None).await.unwrap_err());
+    full(store.add_seams(id, seam()).await.unwrap_err());
+    full(store.put_simulation(id, simulation()).await.unwrap_err());
+    full(store.delete(id).await.unwrap_err());
+    // It serves what it has, unchanged.
+    assert_eq!((store.n_sessions(), current(&store, id).number), (1, 1));
+    assert!(matches!(store.simulation(id).await, Err(StoreError::NoSimulation)));
+    storage.left.store(-1, Ordering::SeqCst);
+    store.edit(id, stitch(&seam()[2..3])).await.unwrap();
+    let before = prints(&store, id);
+    close(store).await;
+    drop(storage);
+
+    let store = open(folder.path());
+    store.wake(id).await.unwrap();
+    assert_eq!(store.n_sessions(), 1);
+    assert!(prints(&store, id) == before);
+    close(store).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_torn_journal_ends_at_its_last_whole_record() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path());
+    let id = ready(&store).await;
+    let journal = folder.path().join(format!("sessions/{id}"));
+    let length = || std::fs::metadata(&journal).unwrap().len();
+    let mut ends = vec![length()];
+    for pair in &seam()[..3] {
+        store.edit(id, stitch(&[*pair])).await.unwrap();
+        ends.push(length());
+    }
+    let before = prints(&store, id);
+    close(store).await;
+    let whole = std::fs::read(&journal).unwrap();
+
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    for _ in 0..12 {
+        let cut = random.random_range(ends[0]..ends[3]);
+        std::fs::write(&journal, &whole[..cut as usize]).unwrap();
+        let store = open(folder.path());
+        store.wake(id).await.unwrap();
+        let n_whole = ends.iter().filter(|end| **end <= cut).count();
+        assert!(prints(&store, id) == before[..n_whole], "{cut}");
+        // It goes on from there, over what was torn.
+        store.edit(id, stitch(&seam()[5..6])).await.unwrap();
+        let after = prints(&store, id);
+        close(store).await;
+        let store = open(folder.path());
+        store.wake(id).await.unwrap();
+        assert!(prints(&store, id) == after, "{cut}");
+        close(store).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn damage_anywhere_is_noticed_and_harms_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path());
+    let id = ready(&store).await;
+    for pair in &seam()[..3] {
+        store.edit(id, stitch(&[*pair])).await.unwrap();
+    }
+    let mut other = create_bars();
+    other.params.n_modes -= 1;
+    let other = store.create(other).await.unwrap();
+    store.wait_ready(other, PATIENCE).await.unwrap();
+    let (before, of_other) = (prints(&store, id), prints(&store, other));
+    close(store).await;
+
+    let mut random = ChaCha8Rng::seed_from_u64(2);
+    let paths = files(folder.path());
+    let blobs: Vec<&PathBuf> =
+        paths.iter().filter(|path| path.parent() != Some(folder.path())).collect();
+    assert_eq!(blobs.len(), 3);
+    for path in blobs {
+        let whole = std::fs::read(path).unwrap();
+        for round in 0..8 {
+            let mut damaged = whole.clone();
+            let at = random.random_range(0..damaged.len());
+            match round % 2 {
+                0 => damaged[at] ^= 1 << random.random_range(0..8),
+                _ => damaged.truncate(at),
+            }
+            std::fs::write(path, &damaged).unwrap();
+            let store = open(folder.path());
+            assert_eq!(store.list(None, 10).len(), 2);
+            for (id, before) in [(id, &before), (other, &of_other)] {
+                let is_hit =
+                    path.ends_with(id.to_string()) || path.to_string_lossy().contains("meshes");
+                let info = store.wait_ready(id, PATIENCE).await.unwrap();
+                match info.state {
+                    SessionState::Ready => {
+                        // Every generation that is there is the one it was.
+                        let found = prints(&store, id);
+                        assert!(found.iter().all(|print| before.contains(print)), "{path:?} {at}");
+                        assert!(is_hit || found == *before);
+                    }
+                    SessionState::Failed => {
+                        assert!(is_hit, "{path:?} {at}: {:?}", info.error);
+                        let error = info.error.unwrap();
+                        assert!(matches!(*error, StoreError::Damaged { .. }), "{error}");
+                        let refused = store.edit(id, stitch(&seam()[4..5])).await;
+                        assert!(matches!(refused, Err(StoreError::NotReady { .. })));
+                    }
+                    state => panic!("{state}"),
+                }
+            }
+            close(store).await;
+            std::fs::write(path, &whole).unwrap();
+        }
+    }
+    let store = open(folder.path());
+    store.wake(id).await.unwrap();
+    assert!(prints(&store, id) == before);
+    close(store).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_damaged_mesh_is_healed_by_whoever_brings_it_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path());
+    let id = ready(&store).await;
+    let before = prints(&store, id);
+    close(store).await;
+    let paths = files(&folder.path().join("meshes"));
+    std::fs::write(&paths[0], b"nothing").unwrap();
+    let store = open(folder.path());
+    let info = store.wait_ready(id, PATIENCE).await.unwrap();
+    assert_eq!(info.state, SessionState::Failed);
+    ready(&store).await;
+    close(store).await;
+    let store = open(folder.path());
+    store.wake(id).await.unwrap();
+    assert!(prints(&store, id) == before);
+    close(store).await;
+}
