@@ -1,6 +1,7 @@
 //! A real daemon for one test: its own process, free ports, a scratch directory.
 
 use std::io::{BufRead, BufReader};
+use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 use sutura_client::{Client, ZenohClient};
@@ -11,7 +12,7 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 /// A running daemon; killed when dropped.
 pub(crate) struct Daemon {
     process: Child,
-    _scratch: tempfile::TempDir,
+    scratch: Option<tempfile::TempDir>,
     /// Such as `http://127.0.0.1:8080`.
     pub(crate) http: String,
     /// Such as `tcp/127.0.0.1:7447`.
@@ -22,9 +23,16 @@ impl Daemon {
     /// Starts one and waits until it has said where it listens.
     pub(crate) fn start() -> Daemon {
         let scratch = tempfile::tempdir().unwrap();
+        let folder = scratch.path().join("data");
+        Daemon { scratch: Some(scratch), ..Daemon::start_on(&folder) }
+    }
+
+    /// Starts one on a data directory.
+    pub(crate) fn start_on(folder: &Path) -> Daemon {
         let mut process = Command::new(env!("CARGO_BIN_EXE_sutura"))
             .args(["serve", "--http", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0", "--log", "warn"])
-            .current_dir(scratch.path())
+            .arg("--data")
+            .arg(folder)
             .stdout(Stdio::piped())
             .stderr(Stdio::inherit())
             .spawn()
@@ -39,7 +47,13 @@ impl Daemon {
         let (http, zenoh) = (address("http://"), address("tcp/"));
         // What it goes on to print must not fill the pipe.
         std::thread::spawn(move || lines.for_each(drop));
-        Daemon { process, _scratch: scratch, http, zenoh }
+        Daemon { process, scratch: None, http, zenoh }
+    }
+
+    /// Ends it as no program can prevent, in the midst of whatever it does.
+    pub(crate) fn kill(mut self) {
+        self.process.kill().unwrap();
+        self.process.wait().unwrap();
     }
 
     /// A client of it over HTTP.

@@ -4,6 +4,7 @@ mod arrays;
 mod bodies;
 mod daemon;
 mod demo;
+mod durability;
 mod edits;
 mod operations;
 mod refusals;
