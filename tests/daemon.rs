@@ -24,7 +24,9 @@ impl Daemon {
     pub(crate) fn start() -> Daemon {
         let scratch = tempfile::tempdir().unwrap();
         let folder = scratch.path().join("data");
-        Daemon { scratch: Some(scratch), ..Daemon::start_on(&folder) }
+        let mut daemon = Daemon::start_on(&folder);
+        daemon.scratch = Some(scratch);
+        daemon
     }
 
     /// Starts one on a data directory.

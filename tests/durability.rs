@@ -24,8 +24,8 @@ const MOST_SESSIONS: usize = 4;
 struct Known {
     /// The current generation, once the session was ready.
     generation: Option<u64>,
-    /// Answers about generations, by number.
-    evaluations: BTreeMap<u64, String>,
+    /// Answers about generations, by number, each with the size of the basis.
+    evaluations: BTreeMap<u64, (u64, String)>,
     is_simulated: bool,
 }
 
@@ -46,7 +46,7 @@ enum Pending {
     Fork,
     Edit(String),
     Delete(String),
-    Simulate(String),
+    Simulate,
 }
 
 impl Pending {
@@ -56,7 +56,7 @@ impl Pending {
             Pending::Fork => "fork",
             Pending::Edit(_) => "edit",
             Pending::Delete(_) => "delete",
-            Pending::Simulate(_) => "simulate",
+            Pending::Simulate => "simulate",
         }
     }
 }
@@ -110,8 +110,7 @@ impl Asker {
     }
 
     /// Force and stiffness of a generation as they are written: every bit of them.
-    async fn evaluate(&self, id: &str, generation: u64) -> Option<String> {
-        let size = self.info(id).await?["basis_size"].as_u64()?;
+    async fn evaluate(&self, id: &str, generation: u64, size: u64) -> Option<String> {
         let q: Vec<f64> = (0..size).map(|i| 1e-3 / (1.0 + i as f64)).collect();
         let path = format!("/{id}/generations/{generation}/evaluate");
         self.ask(reqwest::Method::POST, &path, Some(json!({ "q": q }))).await
@@ -171,10 +170,11 @@ async fn work_once(asker: &Asker, acknowledged: &Shared, random: &mut ChaCha8Rng
     let info = asker.info(&id).await?;
     let number = info["generation"].as_u64()?;
     end(&|a| a.sessions.get_mut(&id).unwrap().generation = Some(number));
-    let evaluation = asker.evaluate(&id, number).await?;
+    let size = info["basis_size"].as_u64()?;
+    let evaluation = asker.evaluate(&id, number, size).await?;
     end(&|a| {
         let known = a.sessions.get_mut(&id).unwrap();
-        known.evaluations.insert(number, evaluation.clone());
+        known.evaluations.insert(number, (size, evaluation.clone()));
     });
     match choice {
         2 if ids.len() < MOST_SESSIONS => {
@@ -187,7 +187,7 @@ async fn work_once(asker: &Asker, acknowledged: &Shared, random: &mut ChaCha8Rng
             });
         }
         3 => {
-            begin(Pending::Simulate(id.clone()));
+            begin(Pending::Simulate);
             let path = format!("/{id}/simulation");
             // Held at one end alone the bar has rigid motions once it is unstitched.
             if info["n_rigid_modes"] == 0 {
@@ -204,10 +204,11 @@ async fn work_once(asker: &Asker, acknowledged: &Shared, random: &mut ChaCha8Rng
                 a.n_edits += 1;
                 a.sessions.get_mut(&id).unwrap().generation = Some(made);
             });
-            let evaluation = asker.evaluate(&id, made).await?;
+            let size = reply["basis_size"].as_u64()?;
+            let evaluation = asker.evaluate(&id, made, size).await?;
             end(&|a| {
                 let known = a.sessions.get_mut(&id).unwrap();
-                known.evaluations.insert(made, evaluation.clone());
+                known.evaluations.insert(made, (size, evaluation.clone()));
             });
         }
     }
@@ -252,10 +253,10 @@ async fn check(daemon: &Daemon, acknowledged: &Shared) {
             let most = expected + u64::from(has_pending_edit);
             assert!((expected..=most).contains(&number), "{id}: {number}, not {expected}");
         }
-        for (generation, before) in &known.evaluations {
+        for (generation, (size, before)) in &known.evaluations {
             // Of the kept ones.
             if generation + 8 > number {
-                let now = asker.evaluate(&id, *generation).await.unwrap();
+                let now = asker.evaluate(&id, *generation, *size).await.unwrap();
                 assert!(now == *before, "{id}, generation {generation} differs");
             }
         }

@@ -64,6 +64,10 @@ pub trait Control: Sync {
     fn progress(&self, stage: Stage, fraction: f64);
     /// A monotonic clock; only differences are used.
     fn now(&self) -> Duration;
+    /// Whether there is room for a computation that takes about so many bytes of memory.
+    fn admits(&self, _n_bytes: usize) -> bool {
+        true
+    }
 }
 
 /// Never cancels, hears no progress, and times nothing.

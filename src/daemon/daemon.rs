@@ -59,7 +59,11 @@ impl Daemon {
         config: &Config,
         recorder: PrometheusHandle,
     ) -> Result<Daemon, StartError> {
-        let store_config = StoreConfig { work: config.work.clone(), limits: config.limits.clone() };
+        let store_config = StoreConfig {
+            work: config.work.clone(),
+            limits: config.limits.clone(),
+            memory: config.memory.store(),
+        };
         let store = match &config.data.path.0 {
             None => Store::new(store_config)?,
             Some(path) => Store::open(store_config, Arc::new(LocalFiles::open(path)?))?,

@@ -16,6 +16,7 @@ use sutura_core::control::Control;
 impl Shared {
     /// What the current generation of `session` leaves to be done, queued.
     pub(crate) fn follow_up(self: &Arc<Self>, session: &Arc<LiveSession>) {
+        self.make_room(0, session.id);
         self.prepare_seams_later(session);
         self.improve_later(session);
         self.compact_later(session);

@@ -9,6 +9,16 @@ pub struct StoreConfig {
     pub work: WorkConfig,
     /// Largest sizes accepted from a caller.
     pub limits: Limits,
+    /// What bodies may take up.
+    pub memory: MemoryConfig,
+}
+
+/// What bodies may take up.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MemoryConfig {
+    /// Bytes of all bodies in memory; `None` for as many as there are. Beyond, the bodies of idle sessions
+    /// leave memory, those not used for longest first, and builds that would not fit are refused.
+    pub budget_bytes: Option<usize>,
 }
 
 /// Threads, queues and pacing.

@@ -12,6 +12,8 @@ pub(crate) struct TaskControl<'a> {
     cancel: &'a CancelFlag,
     begin: Instant,
     reporter: Option<Reporter<'a>>,
+    /// Whether there is room for so many bytes.
+    admits: Option<&'a (dyn Fn(usize) -> bool + Sync)>,
 }
 
 /// Passes progress on to a session: each change of stage, and within a stage not more often than
@@ -25,7 +27,7 @@ struct Reporter<'a> {
 impl<'a> TaskControl<'a> {
     /// Reports no progress.
     pub(crate) fn silent(cancel: &'a CancelFlag) -> Self {
-        Self { cancel, begin: Instant::now(), reporter: None }
+        Self { cancel, begin: Instant::now(), reporter: None, admits: None }
     }
 
     /// Reports progress to `session`.
@@ -35,7 +37,12 @@ impl<'a> TaskControl<'a> {
         interval: Duration,
     ) -> Self {
         let reporter = Some(Reporter { session, interval, last: Mutex::new(None) });
-        Self { cancel, begin: Instant::now(), reporter }
+        Self { cancel, begin: Instant::now(), reporter, admits: None }
+    }
+
+    /// Asks `admits` whether there is room for so many bytes.
+    pub(crate) fn within(self, admits: &'a (dyn Fn(usize) -> bool + Sync)) -> Self {
+        Self { admits: Some(admits), ..self }
     }
 }
 
@@ -54,6 +61,10 @@ impl Control for TaskControl<'_> {
 
     fn now(&self) -> Duration {
         self.begin.elapsed()
+    }
+
+    fn admits(&self, n_bytes: usize) -> bool {
+        self.admits.is_none_or(|admits| admits(n_bytes))
     }
 }
 

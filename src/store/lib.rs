@@ -18,6 +18,7 @@ mod control;
 mod error;
 mod event;
 mod live;
+mod memory;
 mod pacing;
 mod pool;
 mod prepared;
@@ -31,7 +32,7 @@ mod tasks;
 #[cfg(test)]
 mod tests;
 
-pub use config::{Limits, StoreConfig, WorkConfig};
+pub use config::{Limits, MemoryConfig, StoreConfig, WorkConfig};
 pub use error::{InputError, StoreError};
 pub use event::{Event, EventKind};
 pub use session::{

@@ -13,6 +13,7 @@ use crate::session::{
 use crate::simulation::{Frame, FrameSource, SimulationConfig};
 use crate::stepping::SimulationHandle;
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::{broadcast, watch};
 
@@ -27,6 +28,8 @@ pub(crate) struct Surroundings {
     pub(crate) frame_backlog: usize,
     /// See [`crate::WorkConfig`].
     pub(crate) n_kept_generations: usize,
+    /// Gives the order in which sessions were used.
+    pub(crate) n_uses: Arc<AtomicU64>,
 }
 
 /// A session as the store keeps it.
@@ -37,6 +40,8 @@ pub(crate) struct LiveSession {
     /// What outlives the process, if anything does.
     pub(crate) journal: Option<Journal>,
     size: MeshSize,
+    /// When it was used last, in uses of any session.
+    last_use: AtomicU64,
     inner: Mutex<Inner>,
     /// Becomes true when the build has ended, well or badly, or the session is gone.
     settled: watch::Sender<bool>,
@@ -155,9 +160,10 @@ impl LiveSession {
         Self {
             id,
             name,
-            surroundings,
             journal,
             size,
+            last_use: AtomicU64::new(surroundings.n_uses.fetch_add(1, Ordering::Relaxed)),
+            surroundings,
             inner: Mutex::new(Inner {
                 state,
                 progress: None,
@@ -172,6 +178,35 @@ impl LiveSession {
             }),
             settled: watch::Sender::new(state != SessionState::Building),
         }
+    }
+
+    /// Somebody uses the body.
+    pub(crate) fn touch(&self) {
+        let now = self.surroundings.n_uses.fetch_add(1, Ordering::Relaxed);
+        self.last_use.store(now, Ordering::Relaxed);
+    }
+
+    /// When somebody did so last: larger is later.
+    pub(crate) fn last_use(&self) -> u64 {
+        self.last_use.load(Ordering::Relaxed)
+    }
+
+    /// The generations in memory.
+    pub(crate) fn in_memory(&self) -> Vec<Arc<Generation>> {
+        self.lock().generations.values().cloned().collect()
+    }
+
+    /// Takes the body out of memory, if it can be made again and nothing is done with it now.
+    pub(crate) fn evict(&self) -> Option<Leftovers> {
+        let mut inner = self.lock();
+        let is_idle = inner.state == SessionState::Ready
+            && inner.simulation.is_none()
+            && inner.channels.is_some();
+        if self.journal.is_none() || !is_idle {
+            return None;
+        }
+        self.set_state(&mut inner, SessionState::Stored);
+        Some(std::mem::take(&mut inner.generations))
     }
 
     /// Its name for people.

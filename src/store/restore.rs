@@ -11,7 +11,7 @@ use crate::session::Generation;
 use crate::store::{PREPARATION, Shared};
 use crate::tasks::DEFAULT_TOLERANCE;
 use std::sync::{Arc, PoisonError};
-use sutura_core::build::{Artifacts, BuildParams, Recipe, remake};
+use sutura_core::build::{Artifacts, BuildError, BuildParams, Recipe, remake};
 use sutura_core::control::Control;
 use sutura_core::edit::EditState;
 
@@ -41,7 +41,7 @@ impl Shared {
     /// Queues the next session to restore, behind everything that somebody waits for.
     fn restore_next(self: &Arc<Self>) {
         let next = || self.to_restore.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        while let Some(id) = next() {
+        while let Some(id) = next().filter(|_| self.is_within_budget()) {
             let sessions = self.sessions.read().unwrap_or_else(PoisonError::into_inner);
             let Some(session) = sessions.get(&id).cloned() else { continue };
             drop(sessions);
@@ -72,7 +72,9 @@ impl Shared {
         }
         let _span = tracing::info_span!("restore", session = %session.id).entered();
         let work = &self.config.work;
-        let control = TaskControl::reporting(cancel, session, work.progress_interval);
+        let admits = |n_bytes: usize| self.make_room(n_bytes, session.id);
+        let control =
+            TaskControl::reporting(cancel, session, work.progress_interval).within(&admits);
         let n_kept = work.n_kept_generations.max(1);
         let restored =
             catching("restoring", || generations(journal, n_kept, &self.prepared, &control));
@@ -84,10 +86,11 @@ impl Shared {
                     "session restored"
                 );
                 session.restored(Ok(generations));
+                self.make_room(0, session.id);
                 self.resume_simulation(session);
                 Ok(())
             }
-            Err(error @ (StoreError::Cancelled | StoreError::Storage(_))) => {
+            Err(error) if is_passing(&error) => {
                 tracing::warn!(%error, "session not restored");
                 session.restored(Err(None));
                 Err(error)
@@ -113,6 +116,16 @@ impl Shared {
             Err(error) => tracing::warn!(%error, "simulation not started again"),
         }
     }
+}
+
+/// Whether another try may do better.
+fn is_passing(error: &StoreError) -> bool {
+    matches!(
+        error,
+        StoreError::Cancelled
+            | StoreError::Storage(_)
+            | StoreError::Build(BuildError::OverBudget { .. })
+    )
 }
 
 /// The generations that the session keeps.
@@ -161,7 +174,7 @@ fn generations(
         };
         match remade(&record) {
             Ok(artifacts) => made.push(Arc::new(record.generation(artifacts))),
-            Err(error @ (StoreError::Cancelled | StoreError::Storage(_))) => return Err(error),
+            Err(error) if is_passing(&error) => return Err(error),
             Err(error) if number == current => return Err(error),
             Err(error) => tracing::error!(number, %error, "an earlier generation is lost"),
         }

@@ -124,6 +124,7 @@ impl Store {
             event_backlog: work.event_backlog.max(1),
             frame_backlog: work.frame_backlog.max(1),
             n_kept_generations: work.n_kept_generations.max(1),
+            n_uses: Arc::default(),
         };
         let shared = Shared {
             sessions: RwLock::default(),
@@ -202,10 +203,10 @@ impl Store {
             let interval = shared.config.work.progress_interval;
             let store = Arc::downgrade(shared);
             move |cancel: &CancelFlag| {
-                run_build(&session, mesh, &params, &prepared, interval, cancel);
-                if let Some(store) = store.upgrade() {
-                    store.follow_up(&session);
-                }
+                let Some(store) = store.upgrade() else { return };
+                let admits = |n_bytes: usize| store.make_room(n_bytes, id);
+                run_build(&session, mesh, &params, &prepared, interval, cancel, &admits);
+                store.follow_up(&session);
             }
         };
         self.insert_whole(session, || shared.builds.submit(BUILD, Some(id), task).map(drop))?;
@@ -327,6 +328,7 @@ impl Store {
     ) -> Result<Arc<Generation>, StoreError> {
         let shared = &self.shared;
         let session = self.session(id)?;
+        session.touch();
         check::edit(&request, &shared.config.limits)?;
         session.check_editable(request.base_generation)?;
         let (reply, answer) = oneshot::channel();
@@ -337,7 +339,8 @@ impl Store {
         let ticket = shared.builds.submit(EDIT, Some(id), move |cancel| {
             let Some(store) = store.upgrade() else { return };
             let bring_back = || store.restore(&session, cancel);
-            run_edit(&session, &request, &config, cancel, reply, bring_back);
+            let admits = |n_bytes: usize| store.make_room(n_bytes, id);
+            run_edit(&session, &request, &config, cancel, reply, bring_back, &admits);
             store.follow_up(&session);
         })?;
         let _guard = ticket.cancel_on_drop();
@@ -375,6 +378,7 @@ impl Store {
     /// could not be, is left as it is.
     pub async fn wake(&self, id: SessionId) -> Result<(), StoreError> {
         let session = self.session(id)?;
+        session.touch();
         if !matches!(session.state(), SessionState::Stored | SessionState::Restoring) {
             return Ok(());
         }

@@ -26,9 +26,10 @@ pub(crate) fn run_build(
     prepared: &PreparedBodies,
     interval: Duration,
     cancel: &CancelFlag,
+    admits: &(dyn Fn(usize) -> bool + Sync),
 ) {
     let _span = tracing::info_span!("build", session = %session.id).entered();
-    let control = TaskControl::reporting(cancel, session, interval);
+    let control = TaskControl::reporting(cancel, session, interval).within(admits);
     let body = catching("the build", || build_or_share(mesh, params, prepared, &control));
     let computed_in = control.now();
     match &body {
@@ -83,6 +84,7 @@ pub(crate) fn run_edit(
     cancel: &CancelFlag,
     reply: oneshot::Sender<Result<Arc<Generation>, StoreError>>,
     bring_back: impl FnOnce() -> Result<(), StoreError>,
+    admits: &(dyn Fn(usize) -> bool + Sync),
 ) {
     let begin = |session: &LiveSession| {
         bring_back()?;
@@ -97,7 +99,8 @@ pub(crate) fn run_edit(
             return;
         }
     };
-    let control = TaskControl::reporting(cancel, session, config.work.progress_interval);
+    let interval = config.work.progress_interval;
+    let control = TaskControl::reporting(cancel, session, interval).within(admits);
     let made = catching("the edit", || {
         let next = next_generation(session, &previous, request, config, &control)?;
         keep(session, &next)?;

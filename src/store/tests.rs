@@ -118,7 +118,7 @@ pub(crate) fn create_bars() -> CreateSession {
 }
 
 fn store_with(work: WorkConfig, limits: Limits) -> Store {
-    Store::new(StoreConfig { work, limits }).unwrap()
+    Store::new(StoreConfig { work, limits, ..StoreConfig::default() }).unwrap()
 }
 
 fn store() -> Store {

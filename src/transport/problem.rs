@@ -222,6 +222,7 @@ impl From<&StoreError> for Problem {
             StoreError::Full { .. } => Kind::Full,
             StoreError::TooLarge { .. } => Kind::TooLarge,
             StoreError::Input(_) => Kind::ImpossibleValue,
+            StoreError::Build(BuildError::OverBudget { .. }) => Kind::TooLarge,
             StoreError::Build(_) => Kind::ImpossibleConfiguration,
             StoreError::Edit(_) => Kind::ImpossibleEdit,
             StoreError::Simulation(_) => Kind::ImpossibleSimulation,

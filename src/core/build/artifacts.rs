@@ -284,17 +284,25 @@ impl Artifacts {
 
     /// Bytes held by this generation, shared parts included.
     pub fn memory_bytes(&self) -> usize {
+        self.base_memory().1 + self.own_memory_bytes()
+    }
+
+    /// Bytes of the base body, behind a number that tells base bodies apart for as long as they live.
+    pub fn base_memory(&self) -> (usize, usize) {
         let base = &self.prepared;
-        base.model.bytes()
+        let n_bytes = base.model.bytes()
             + base.mass.bytes()
             + base.stiffness.bytes()
             + base.factor.bytes()
             + base.x.iter().map(|x| linalg::bytes(&x.columns)).sum::<usize>()
-            + base.seams().bytes()
-            + self.modes.bytes()
-            + self.basis.bytes()
-            + self.model.bytes()
-            + self.surface.get().map_or(0, |surface| surface.bytes())
+            + base.seams().bytes();
+        (Arc::as_ptr(base).addr(), n_bytes)
+    }
+
+    /// Bytes beside the base body.
+    pub fn own_memory_bytes(&self) -> usize {
+        let surface = self.surface.get().map_or(0, |surface| surface.bytes());
+        self.modes.bytes() + self.basis.bytes() + self.model.bytes() + surface
     }
 
     /// Elastic mode `i` over all vertices, vertex-major: 3·n_vertices numbers, fixed ones 0.

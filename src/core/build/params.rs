@@ -106,6 +106,10 @@ pub enum BuildError {
     FixedVertexOutOfRange { position: usize, vertex: u32, n_vertices: usize },
     #[error("every vertex is fixed: nothing can move")]
     NothingFree,
+    #[error(
+        "the body would take about {n_bytes} bytes of memory while it is prepared, more than is left of the budget"
+    )]
+    OverBudget { n_bytes: usize },
     #[error("{given} materials for {n_domains} domains")]
     MaterialCount { given: usize, n_domains: usize },
     #[error("tet_stiffness has {given} entries for {n_tets} tets")]

@@ -9,6 +9,7 @@ mod data;
 mod http;
 mod limits;
 mod log;
+mod memory;
 mod shutdown;
 mod traffic;
 mod work;
@@ -17,6 +18,7 @@ mod zenoh;
 pub(crate) use data::{DataConfig, DataPath};
 pub(crate) use http::HttpConfig;
 pub(crate) use log::{LogConfig, LogFormat};
+pub(crate) use memory::MemoryConfig;
 pub(crate) use shutdown::ShutdownConfig;
 pub(crate) use zenoh::{ZenohConfig, ZenohEndpoint};
 
@@ -42,6 +44,8 @@ pub(crate) struct Config {
     /// Threads, queues and pacing.
     #[serde(with = "work::Work")]
     pub(crate) work: sutura_store::WorkConfig,
+    /// What bodies may take up.
+    pub(crate) memory: MemoryConfig,
     /// What is logged, and how.
     pub(crate) log: LogConfig,
     /// How the daemon ends.

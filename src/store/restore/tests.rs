@@ -389,3 +389,65 @@ async fn a_damaged_mesh_is_healed_by_whoever_brings_it_again() {
     assert!(prints(&store, id) == before);
     close(store).await;
 }
+
+/// A budget for so many bodies like that of `bars`, builds included, and a half.
+async fn store_for(folder: &Path, n_bodies: usize) -> Store {
+    let measured = Store::new(StoreConfig::default()).unwrap();
+    let id = ready(&measured).await;
+    let n_bytes = current(&measured, id).artifacts.memory_bytes();
+    let budget_bytes = Some(n_bytes * n_bodies + n_bytes / 2);
+    let config = StoreConfig { memory: crate::MemoryConfig { budget_bytes }, ..Default::default() };
+    Store::open(config, Arc::new(LocalFiles::open(folder).unwrap())).unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn bodies_beyond_the_budget_leave_memory_and_come_back() {
+    let folder = tempfile::tempdir().unwrap();
+    // Building takes some factors of the matrix beside the body.
+    let store = store_for(folder.path(), 3).await;
+    let mut ids = Vec::new();
+    let mut before = Vec::new();
+    for number in 0..6 {
+        let mut request = create_bars();
+        request.params.damping.mass_per_s = f64::from(number);
+        let id = store.create(request).await.unwrap();
+        assert_eq!(store.wait_ready(id, PATIENCE).await.unwrap().state, SessionState::Ready);
+        store.edit(id, stitch(&seam()[..1])).await.unwrap();
+        before.push(print(&store.fetch(id, GenerationRef::Current).await.unwrap()));
+        ids.push(id);
+    }
+    let state = |id: SessionId| store.info(id).unwrap().state;
+    assert_eq!(state(ids[0]), SessionState::Stored);
+    assert_eq!(state(ids[5]), SessionState::Ready);
+    for (id, before) in ids.iter().zip(&before) {
+        let generation = store.fetch(*id, GenerationRef::Current).await.unwrap();
+        assert!(print(&generation) == *before);
+    }
+    // An edit of a body that is not in memory, with the generation that the client knows.
+    assert_eq!(state(ids[0]), SessionState::Stored);
+    let request = EditRequest { base_generation: Some(1), ..stitch(&seam()[1..2]) };
+    assert_eq!(store.edit(ids[0], request).await.unwrap().number, 2);
+    assert_eq!(state(ids[0]), SessionState::Ready);
+    let stale = EditRequest { base_generation: Some(0), ..stitch(&seam()[2..3]) };
+    let refused = store.edit(ids[1], stale).await;
+    assert!(matches!(refused, Err(StoreError::WrongGeneration { given: 0, current: 1 })));
+    // One that is simulated stays.
+    store.put_simulation(ids[1], simulation()).await.unwrap();
+    for id in &ids[2..] {
+        store.wake(*id).await.unwrap();
+    }
+    assert_eq!(state(ids[1]), SessionState::Ready);
+    close(store).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_body_that_would_not_fit_is_refused_with_its_estimate() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = store_for(folder.path(), 0).await;
+    let id = store.create(create_bars()).await.unwrap();
+    let info = store.wait_ready(id, PATIENCE).await.unwrap();
+    assert_eq!(info.state, SessionState::Failed);
+    let error = info.error.unwrap().to_string();
+    assert!(error.contains("budget") && error.contains("bytes"), "{error}");
+    close(store).await;
+}

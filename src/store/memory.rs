@@ -1,0 +1,62 @@
+//! The budget: what bodies in memory take up, and which of them leave when it is not enough.
+
+use crate::live::{Leftovers, LiveSession};
+use crate::session::SessionId;
+use crate::store::Shared;
+use std::collections::BTreeSet;
+use std::sync::{Arc, PoisonError};
+
+impl Shared {
+    /// Bytes of all bodies in memory; what generations and sessions share is counted once.
+    pub(crate) fn memory_in_use(&self) -> usize {
+        let mut counted = BTreeSet::new();
+        let mut n_bytes = 0;
+        for session in self.all_sessions() {
+            for generation in session.in_memory() {
+                let body = &generation.artifacts;
+                if counted.insert(Arc::as_ptr(body).addr()) {
+                    n_bytes += body.own_memory_bytes();
+                }
+                let (base, of_base) = body.base_memory();
+                if counted.insert(base) {
+                    n_bytes += of_base;
+                }
+            }
+        }
+        n_bytes
+    }
+
+    /// Makes room for `n_bytes` more, or as much of it as can be made: bodies of idle sessions leave
+    /// memory, those not used for longest first, that of `user` never. Tells whether there is room.
+    pub(crate) fn make_room(&self, n_bytes: usize, user: SessionId) -> bool {
+        let Some(budget) = self.config.memory.budget_bytes else { return true };
+        let fits = || self.memory_in_use().saturating_add(n_bytes) <= budget;
+        if fits() {
+            return true;
+        }
+        let mut others = self.all_sessions();
+        others.retain(|session| session.id != user);
+        others.sort_by_key(|session| session.last_use());
+        for session in others {
+            if let Some(leftovers) = session.evict() {
+                tracing::info!(session = %session.id, "the body leaves memory");
+                session.cancel_improvement();
+                drop::<Leftovers>(leftovers);
+                if fits() {
+                    return true;
+                }
+            }
+        }
+        false
+    }
+
+    /// Whether bodies take up no more than they may.
+    pub(crate) fn is_within_budget(&self) -> bool {
+        self.config.memory.budget_bytes.is_none_or(|budget| self.memory_in_use() <= budget)
+    }
+
+    fn all_sessions(&self) -> Vec<Arc<LiveSession>> {
+        let sessions = self.sessions.read().unwrap_or_else(PoisonError::into_inner);
+        sessions.values().cloned().collect()
+    }
+}
