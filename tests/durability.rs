@@ -200,9 +200,13 @@ async fn work_once(asker: &Asker, acknowledged: &Shared, random: &mut ChaCha8Rng
             let path = format!("/{id}/edits");
             let reply = asker.document(Method::POST, &path, Some(edit(random))).await?;
             let made = reply["generation"].as_u64()?;
+            let is_held = reply["n_rigid_modes"] == 0;
             end(&|a| {
                 a.n_edits += 1;
-                a.sessions.get_mut(&id).unwrap().generation = Some(made);
+                let known = a.sessions.get_mut(&id).unwrap();
+                known.generation = Some(made);
+                // A body that is not held ends its simulation.
+                known.is_simulated &= is_held;
             });
             let size = reply["basis_size"].as_u64()?;
             let evaluation = asker.evaluate(&id, made, size).await?;
@@ -260,13 +264,15 @@ async fn check(daemon: &Daemon, acknowledged: &Shared) {
                 assert!(now == *before, "{id}, generation {generation} differs");
             }
         }
-        if known.is_simulated && info["n_rigid_modes"] == 0 {
+        if known.is_simulated && !has_pending_edit {
             let path = format!("/{id}/simulation");
             let simulation = asker.document(reqwest::Method::GET, &path, None).await.unwrap();
             assert_eq!(simulation["config"]["dt_s"], 0.005, "{simulation}");
         }
         let mut acknowledged = acknowledged.lock().unwrap();
-        acknowledged.sessions.get_mut(&id).unwrap().generation = Some(number);
+        let known = acknowledged.sessions.get_mut(&id).unwrap();
+        known.generation = Some(number);
+        known.is_simulated &= !has_pending_edit;
     }
 }
 
@@ -278,26 +284,20 @@ async fn what_was_acknowledged_outlives_kill_9_at_any_instant() {
     let mut random = ChaCha8Rng::seed_from_u64(20);
     for round in 0..n_kills as u64 {
         let daemon = Daemon::start_on(folder.path());
-        // Every other one is killed while it still restores what it found.
-        if round % 2 == 0 {
-            check(&daemon, &acknowledged).await;
-        }
-        let asker = Asker::new(&daemon);
-        let work =
-            tokio::spawn(work(asker, acknowledged.clone(), ChaCha8Rng::seed_from_u64(round)));
         let life = Duration::from_millis(random.random_range(0..LONGEST_LIFE_MS));
-        if round % 2 == 0 {
-            tokio::time::sleep(life).await;
-        } else {
-            work.abort();
+        // Every other one is killed while it still restores what it found.
+        if round % 2 == 1 {
             tokio::time::sleep(life / 4).await;
+            daemon.kill();
+            continue;
         }
+        check(&daemon, &acknowledged).await;
+        let asker = Asker::new(&daemon);
+        let random = ChaCha8Rng::seed_from_u64(round);
+        let work = tokio::spawn(work(asker, acknowledged.clone(), random));
+        tokio::time::sleep(life).await;
         daemon.kill();
-        match work.await {
-            Ok(()) => {}
-            Err(error) if error.is_cancelled() => {}
-            Err(error) => panic!("{error}"),
-        }
+        work.await.unwrap();
     }
     let daemon = Daemon::start_on(folder.path());
     check(&daemon, &acknowledged).await;

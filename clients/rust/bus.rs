@@ -5,6 +5,7 @@ use crate::error::{Error, Result};
 use crate::states::StateStream;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use std::sync::Arc;
 use std::time::Duration;
 use sutura_proto::edit::{EditReply, EditRequest};
 use sutura_proto::event::GenerationInfo;
@@ -31,6 +32,7 @@ const STATE_BACKLOG: usize = 4;
 #[derive(Clone, Debug)]
 pub struct ZenohClient {
     zenoh_session: zenoh::Session,
+    shown: Option<Arc<str>>,
 }
 
 impl ZenohClient {
@@ -58,7 +60,12 @@ impl ZenohClient {
             return Err(Error::Runtime);
         }
         let zenoh_session = zenoh::open(config).await.map_err(Error::Zenoh)?;
-        Ok(ZenohClient { zenoh_session })
+        Ok(ZenohClient { zenoh_session, shown: None })
+    }
+
+    /// Shows this key with every query.
+    pub fn with_key(self, key: &str) -> ZenohClient {
+        ZenohClient { shown: Some(key.into()), ..self }
     }
 
     /// The session named `id`, whether or not it exists.
@@ -66,7 +73,8 @@ impl ZenohClient {
         if !keys::is_id(id) {
             return Err(Error::SessionId(id.to_owned()));
         }
-        Ok(BusSession { zenoh_session: self.zenoh_session.clone(), id: id.to_owned() })
+        let (zenoh_session, shown) = (self.zenoh_session.clone(), self.shown.clone());
+        Ok(BusSession { zenoh_session, id: id.to_owned(), shown })
     }
 
     /// The daemons that are up.
@@ -94,6 +102,7 @@ impl ZenohClient {
 pub struct BusSession {
     zenoh_session: zenoh::Session,
     id: String,
+    shown: Option<Arc<str>>,
 }
 
 impl BusSession {
@@ -167,6 +176,7 @@ impl BusSession {
         let body = bus::encode(document).map_err(|e| Error::Mismatch(e.to_string()))?;
         self.zenoh_session
             .put(self.key(resource)?, body)
+            .attachment(self.shown.as_deref())
             .encoding(media::BINCODE)
             .congestion_control(CongestionControl::Drop)
             .priority(Priority::RealTime)
@@ -193,7 +203,7 @@ impl BusSession {
             _ => Priority::DataLow,
         };
         let get = self.zenoh_session.get(&selector).timeout(QUERY_TIMEOUT);
-        let mut get = get.priority(priority);
+        let mut get = get.priority(priority).attachment(self.shown.as_deref());
         if let Some(payload) = payload {
             get = get.payload(payload).encoding(media::BINCODE);
         }

@@ -43,6 +43,9 @@ pub enum Error {
     /// No daemon on this Zenoh network has the session.
     #[error("nobody answers for {0}")]
     Absent(String),
+    /// The key cannot be sent in a header.
+    #[error("this is no key")]
+    Key,
     /// The answer is larger than this client accepts.
     #[error("the answer is larger than {limit} bytes")]
     TooLarge {

@@ -4,6 +4,7 @@ use crate::error::{Error, Result};
 use crate::reply;
 use crate::session::Session;
 use bytes::Bytes;
+use reqwest::header::{self, HeaderValue};
 use reqwest::multipart::{Form, Part};
 use reqwest::{Method, RequestBuilder, Url};
 use std::time::Duration;
@@ -24,6 +25,11 @@ pub struct Client {
 impl Client {
     /// The daemon at `base_url`, such as `http://127.0.0.1:8080`; asks whether it is there.
     pub async fn connect(base_url: &str) -> Result<Client> {
+        Client::connect_with_key(base_url, None).await
+    }
+
+    /// The same, showing a key with every request.
+    pub async fn connect_with_key(base_url: &str, key: Option<&str>) -> Result<Client> {
         let address = || Error::Address(base_url.to_owned());
         let base = Url::parse(base_url).map_err(|_| address())?;
         if base.scheme() != "http" || base.cannot_be_a_base() {
@@ -32,6 +38,13 @@ impl Client {
         let mut builder = reqwest::Client::builder().connect_timeout(CONNECT_TIMEOUT);
         if matches!(base.host_str(), Some("localhost" | "127.0.0.1" | "[::1]")) {
             builder = builder.no_proxy();
+        }
+        if let Some(key) = key {
+            let bearer = HeaderValue::from_str(&format!("Bearer {key}"));
+            let mut bearer = bearer.map_err(|_| Error::Key)?;
+            bearer.set_sensitive(true);
+            builder =
+                builder.default_headers([(header::AUTHORIZATION, bearer)].into_iter().collect());
         }
         let client = Client { http: builder.build()?, base };
         let response = client.request(Method::GET, &["healthz"])?.send().await?;

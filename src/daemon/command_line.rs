@@ -6,6 +6,7 @@ use crate::config::{Config, ConfigError, DataPath, LogFormat, ZenohEndpoint};
 use crate::demo::{DemoArgs, SUBSCRIBER_COMMAND, SubscriberArgs};
 use crate::doctor::DoctorArgs;
 use crate::prepare::PrepareArgs;
+use crate::keys::KeyArgs;
 use clap::builder::FalseyValueParser;
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use clap_complete::Shell;
@@ -40,6 +41,8 @@ pub(crate) struct CommandLine {
 pub(crate) enum Command {
     /// Serve bodies over HTTP and Zenoh until SIGTERM or SIGINT.
     Serve(ServeArgs),
+    /// Make, list and revoke the keys that open a daemon.
+    Key(KeyArgs),
     /// Show the sessions of a running daemon, or one of them.
     Info(InfoArgs),
     /// Stitch a body of a running daemon.

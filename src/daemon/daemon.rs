@@ -2,13 +2,14 @@
 //! process can run one too.
 
 use crate::config::Config;
+use crate::keys::{KeyError, KeyStore};
 use metrics_exporter_prometheus::PrometheusHandle;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 use sutura_store::{LocalFiles, OpenError, StorageError, Store, StoreConfig};
 use sutura_transport::bus::{self, Bus, BusError};
-use sutura_transport::{Gateway, http};
+use sutura_transport::{Gateway, Keyring, http};
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
@@ -17,12 +18,26 @@ use tokio::time::timeout;
 /// How long closing connections may take once all work has ended or been cancelled.
 const CLOSING_GRACE: Duration = Duration::from_secs(2);
 
+/// How often the file of keys is looked at.
+const KEYS_INTERVAL: Duration = Duration::from_secs(2);
+
 /// Why a daemon could not start.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum StartError {
     /// The data directory cannot be used.
     #[error("cannot use the data directory: {0}")]
     Data(#[from] StorageError),
+    /// The keys cannot be read.
+    #[error(transparent)]
+    Keys(#[from] KeyError),
+    /// Everybody on the network could do everything.
+    #[error(
+        "{address} is not loopback, and there are no keys: make one (sutura key new --help), or set allow_open_network in [access]"
+    )]
+    Open {
+        /// The address asked for.
+        address: SocketAddr,
+    },
     /// The store could not be opened.
     #[error(transparent)]
     Store(#[from] OpenError),
@@ -42,6 +57,28 @@ pub(crate) enum StartError {
     Zenoh(#[from] BusError),
 }
 
+/// Takes over the keys that are made and revoked while the daemon runs. When the last one has gone, nobody
+/// is let in; the next start is open again.
+async fn watch_keys(keys: KeyStore, mut known: Keyring, gateway: Gateway) {
+    loop {
+        tokio::time::sleep(KEYS_INTERVAL).await;
+        let read = {
+            let keys = keys.clone();
+            tokio::task::spawn_blocking(move || keys.keyring()).await
+        };
+        match read {
+            Ok(Ok(keyring)) if keyring != known && !(keyring.is_empty() && known.is_open()) => {
+                tracing::info!(n_keys = keyring.len(), "keys taken over");
+                gateway.set_keys(keyring.clone());
+                known = keyring;
+            }
+            Ok(Ok(_)) => {}
+            Ok(Err(error)) => tracing::warn!(%error, "keys not read; those known go on"),
+            Err(error) => tracing::error!(%error, "reading keys failed"),
+        }
+    }
+}
+
 /// A running daemon.
 pub(crate) struct Daemon {
     store: Store,
@@ -49,6 +86,7 @@ pub(crate) struct Daemon {
     http_address: SocketAddr,
     stop_http: oneshot::Sender<()>,
     http: JoinHandle<std::io::Result<()>>,
+    watch_keys: Option<JoinHandle<()>>,
     deadline: Duration,
 }
 
@@ -69,15 +107,24 @@ impl Daemon {
             Some(path) => Store::open(store_config, Arc::new(LocalFiles::open(path)?))?,
         };
         let gateway = Gateway::new(store.clone(), config.traffic.clone(), recorder);
+        let keys = config.data.path.0.as_deref().map(KeyStore::in_folder);
+        let keyring = keys.as_ref().map(KeyStore::keyring).transpose()?;
+        let keyring = keyring.filter(|keyring| !keyring.is_empty()).unwrap_or_default();
+        let is_open = keyring.is_open();
+        gateway.set_keys(keyring.clone());
         let address = config.http.listen;
         let refused = |source| StartError::Http { address, source };
         let listener = TcpListener::bind(address).await.map_err(refused)?;
         let http_address = listener.local_addr().map_err(refused)?;
         for address in [address, config.zenoh.listen.0] {
-            if !address.ip().is_loopback() {
+            if is_open && !address.ip().is_loopback() {
+                if !config.access.allow_open_network {
+                    return Err(StartError::Open { address });
+                }
                 tracing::warn!(%address, "open to the network, and nobody is asked who they are");
             }
         }
+        let watch_keys = keys.map(|keys| tokio::spawn(watch_keys(keys, keyring, gateway.clone())));
         let bus = bus::open(&gateway, config.zenoh.bus()).await?;
         let (stop_http, stopped) = oneshot::channel();
         let http = tokio::spawn(http::serve(gateway, listener, async {
@@ -85,7 +132,7 @@ impl Daemon {
             let _ = stopped.await;
         }));
         let deadline = config.shutdown.deadline;
-        Ok(Daemon { store, bus, http_address, stop_http, http, deadline })
+        Ok(Daemon { store, bus, http_address, stop_http, http, watch_keys, deadline })
     }
 
     /// Base of every HTTP address of this daemon: `http://127.0.0.1:8080`.
@@ -102,6 +149,9 @@ impl Daemon {
     /// configured deadline, then closes both doors.
     pub(crate) async fn stop(self) {
         let _ = self.stop_http.send(());
+        if let Some(watch_keys) = &self.watch_keys {
+            watch_keys.abort();
+        }
         if !self.store.shutdown(self.deadline).await {
             tracing::warn!("some work did not stop in time and is left behind");
         }

@@ -7,6 +7,7 @@ mod daemon;
 mod demo;
 mod doctor;
 mod export;
+mod keys;
 mod logging;
 mod picture;
 mod prepare;
@@ -38,6 +39,7 @@ const FAILED: u8 = 1;
 fn main() -> ExitCode {
     let result = match CommandLine::parse().command {
         Command::Serve(args) => block_on(serve(args)),
+        Command::Key(args) => keys::run(args),
         Command::Info(args) => block_on(async { Ok(client::info(args).await?) }),
         Command::Stitch(args) => block_on(async { Ok(client::stitch(args).await?) }),
         Command::Watch(args) => block_on(async { Ok(client::watch(args).await?) }),
@@ -114,6 +116,8 @@ enum Failure {
     #[error(transparent)]
     LogFilter(#[from] logging::LogFilterError),
     #[error(transparent)]
+    Key(#[from] keys::KeyError),
+    #[error(transparent)]
     Start(#[from] daemon::StartError),
     #[error("cannot record metrics: {0}")]
     Metrics(#[from] metrics_exporter_prometheus::BuildError),
@@ -150,12 +154,15 @@ impl Failure {
     fn exit_code(&self) -> u8 {
         match self {
             Failure::Config(_) | Failure::LogFilter(_) => BAD_INPUT,
+            Failure::Key(keys::KeyError::Unknown(_) | keys::KeyError::Invalid { .. }) => BAD_INPUT,
+            Failure::Start(daemon::StartError::Open { .. }) => BAD_INPUT,
             Failure::Client(error) if error.is_bad_input() => BAD_INPUT,
             Failure::Export(error) if error.is_bad_input() => BAD_INPUT,
             Failure::Prepare(error) if error.is_bad_input() => BAD_INPUT,
             Failure::Doctor(DoctorError::Config(_)) => BAD_INPUT,
             Failure::Demo(error) if error.is_bad_input() => BAD_INPUT,
             Failure::Start(_)
+            | Failure::Key(_)
             | Failure::Metrics(_)
             | Failure::System(_)
             | Failure::Client(_)

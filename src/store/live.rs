@@ -35,7 +35,7 @@ pub(crate) struct Surroundings {
 /// A session as the store keeps it.
 pub(crate) struct LiveSession {
     pub(crate) id: SessionId,
-    name: String,
+    owner: Owner,
     surroundings: Surroundings,
     /// What outlives the process, if anything does.
     pub(crate) journal: Option<Journal>,
@@ -73,6 +73,12 @@ struct Channels {
 /// What a change left over: to be dropped where freeing large memory holds up nobody.
 pub(crate) type Leftovers = BTreeMap<u64, Arc<Generation>>;
 
+/// What a session is called, and whose it is.
+pub(crate) struct Owner {
+    pub(crate) name: String,
+    pub(crate) tenant: Option<String>,
+}
+
 /// Generations in the order of their numbers, and candidate pairs.
 pub(crate) type Kept = (Vec<Arc<Generation>>, Vec<[u32; 2]>);
 
@@ -80,12 +86,12 @@ impl LiveSession {
     /// A session whose build is about to be queued.
     pub(crate) fn new(
         id: SessionId,
-        name: String,
+        owner: Owner,
         size: MeshSize,
         journal: Option<Journal>,
         surroundings: Surroundings,
     ) -> Self {
-        Self::with(id, name, size, journal, SessionState::Building, surroundings)
+        Self::with(id, owner, size, journal, SessionState::Building, surroundings)
     }
 
     /// A session of an earlier process.
@@ -94,10 +100,14 @@ impl LiveSession {
         let id = journal.id();
         match contents {
             Ok(contents) => {
-                let (name, size) = (contents.session.name.clone(), contents.size());
+                let size = contents.size();
+                let owner = Owner {
+                    name: contents.session.name.clone(),
+                    tenant: contents.session.tenant.clone(),
+                };
                 let number = contents.generation();
                 let state = SessionState::Stored;
-                let session = Self::with(id, name, size, Some(journal), state, surroundings);
+                let session = Self::with(id, owner, size, Some(journal), state, surroundings);
                 {
                     let mut inner = session.lock();
                     inner.number = number;
@@ -108,10 +118,10 @@ impl LiveSession {
             }
             Err(error) => {
                 tracing::error!(session = %id, %error, "the session cannot be restored");
-                let name = "unreadable".to_owned();
+                let owner = Owner { name: "unreadable".to_owned(), tenant: None };
                 let size = MeshSize { n_vertices: 0, n_tets: 0, n_domains: 0, n_components: 0 };
                 let state = SessionState::Failed;
-                let session = Self::with(id, name, size, Some(journal), state, surroundings);
+                let session = Self::with(id, owner, size, Some(journal), state, surroundings);
                 session.lock().error = Some(Arc::new(error));
                 session
             }
@@ -130,13 +140,13 @@ impl LiveSession {
     pub(crate) fn fork(
         &self,
         id: SessionId,
-        name: String,
+        owner: Owner,
         journal: Option<Journal>,
         generations: Vec<Arc<Generation>>,
         seams: Vec<[u32; 2]>,
     ) -> Self {
         let (state, surroundings) = (SessionState::Ready, self.surroundings.clone());
-        let fork = Self::with(id, name, self.size, journal, state, surroundings);
+        let fork = Self::with(id, owner, self.size, journal, state, surroundings);
         {
             let mut inner = fork.lock();
             inner.seams.extend(seams);
@@ -147,7 +157,7 @@ impl LiveSession {
 
     fn with(
         id: SessionId,
-        name: String,
+        owner: Owner,
         size: MeshSize,
         journal: Option<Journal>,
         state: SessionState,
@@ -159,7 +169,7 @@ impl LiveSession {
         };
         Self {
             id,
-            name,
+            owner,
             journal,
             size,
             last_use: AtomicU64::new(surroundings.n_uses.fetch_add(1, Ordering::Relaxed)),
@@ -211,7 +221,12 @@ impl LiveSession {
 
     /// Its name for people.
     pub(crate) fn name(&self) -> &str {
-        &self.name
+        &self.owner.name
+    }
+
+    /// Whose it is.
+    pub(crate) fn tenant(&self) -> Option<&str> {
+        self.owner.tenant.as_deref()
     }
 
     pub(crate) fn state(&self) -> SessionState {
@@ -290,7 +305,7 @@ impl LiveSession {
         let inner = self.lock();
         SessionInfo {
             id: self.id,
-            name: self.name.clone(),
+            name: self.owner.name.clone(),
             state: inner.state,
             progress: inner.progress,
             size: self.size,

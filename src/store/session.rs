@@ -44,6 +44,8 @@ pub struct NotASessionId;
 pub struct CreateSession {
     /// For people; need not be unique.
     pub name: String,
+    /// Whose it is; `None` where nobody is asked.
+    pub tenant: Option<String>,
     /// The mesh.
     pub mesh: Arc<TetMesh>,
     /// How to build the body.

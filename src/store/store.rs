@@ -6,7 +6,7 @@ use crate::config::StoreConfig;
 use crate::control::TaskControl;
 use crate::error::StoreError;
 use crate::event::Event;
-use crate::live::{Leftovers, LiveSession, Surroundings};
+use crate::live::{Leftovers, LiveSession, Owner, Surroundings};
 use crate::pool::{CancelFlag, Class, ClassLimits, Pool};
 use crate::prepared::PreparedBodies;
 use crate::session::{
@@ -185,10 +185,11 @@ impl Store {
 
     fn create_now(&self, request: CreateSession) -> Result<SessionId, StoreError> {
         let shared = &self.shared;
-        let CreateSession { name, mesh, params } = request;
+        let CreateSession { name, tenant, mesh, params } = request;
         let id = SessionId::new();
         let beginning = Beginning {
             name: &name,
+            tenant: tenant.as_deref(),
             mesh: &mesh,
             params: &params,
             generations: Vec::new(),
@@ -197,7 +198,8 @@ impl Store {
         let journal = self.begin_journal(id, &beginning)?;
         let size = MeshSize::of(&mesh);
         let surroundings = shared.surroundings.clone();
-        let session = Arc::new(LiveSession::new(id, name, size, journal, surroundings));
+        let session =
+            Arc::new(LiveSession::new(id, Owner { name, tenant }, size, journal, surroundings));
         let task = {
             let (session, prepared) = (session.clone(), shared.prepared.clone());
             let interval = shared.config.work.progress_interval;
@@ -233,12 +235,37 @@ impl Store {
         Ok(self.session(id)?.info())
     }
 
+    /// Whose the session is; `None` if it was opened where nobody was asked.
+    pub fn tenant(&self, id: SessionId) -> Result<Option<String>, StoreError> {
+        Ok(self.session(id)?.tenant().map(str::to_owned))
+    }
+
     /// At most `limit` sessions in the order of creation, beginning behind `after`.
     pub fn list(&self, after: Option<SessionId>, limit: usize) -> Vec<SessionInfo> {
+        self.list_if(after, limit, |_| true)
+    }
+
+    /// The same of one tenant.
+    pub fn list_of(
+        &self,
+        tenant: &str,
+        after: Option<SessionId>,
+        limit: usize,
+    ) -> Vec<SessionInfo> {
+        self.list_if(after, limit, |session| session.tenant() == Some(tenant))
+    }
+
+    fn list_if(
+        &self,
+        after: Option<SessionId>,
+        limit: usize,
+        is_listed: impl Fn(&LiveSession) -> bool,
+    ) -> Vec<SessionInfo> {
         let begin = after.map_or(Bound::Unbounded, Bound::Excluded);
         let page: Vec<Arc<LiveSession>> = self
             .sessions()
             .range((begin, Bound::Unbounded))
+            .filter(|(_, session)| is_listed(session))
             .take(limit)
             .map(|(_, session)| session.clone())
             .collect();
@@ -306,6 +333,7 @@ impl Store {
                 let body = &generation.artifacts;
                 let beginning = Beginning {
                     name: &name,
+                    tenant: session.tenant(),
                     mesh: body.mesh(),
                     params: body.params(),
                     generations: generations.clone(),
@@ -314,7 +342,8 @@ impl Store {
                 self.begin_journal(fork_id, &beginning)?
             }
         };
-        let fork = session.fork(fork_id, name, journal, generations, seams);
+        let owner = Owner { name, tenant: session.tenant().map(str::to_owned) };
+        let fork = session.fork(fork_id, owner, journal, generations, seams);
         self.insert_whole(Arc::new(fork), || Ok(()))?;
         tracing::info!(session = %fork_id, origin = %id, "session forked");
         Ok(fork_id)

@@ -114,7 +114,7 @@ pub(crate) fn params() -> BuildParams {
 }
 
 pub(crate) fn create_bars() -> CreateSession {
-    CreateSession { name: "bars".into(), mesh: two_bars(), params: params() }
+    CreateSession { name: "bars".into(), tenant: None, mesh: two_bars(), params: params() }
 }
 
 fn store_with(work: WorkConfig, limits: Limits) -> Store {

@@ -1,5 +1,6 @@
 //! The commands that both transports offer: wire request in, wire reply or problem out.
 
+use crate::access::Caller;
 use crate::conversion::array::{self, ArrayForm, ArrayKind, Reference};
 use crate::conversion::{edit, session, simulation};
 use crate::gateway::Gateway;
@@ -62,17 +63,32 @@ pub(crate) fn info(gateway: &Gateway, id: SessionId) -> Result<SessionInfo, Prob
     Ok(session::info(&gateway.store().info(id)?))
 }
 
+/// The sessions that `caller` may see: at most `limit`, beginning behind `after`.
+pub(crate) fn list(
+    gateway: &Gateway,
+    caller: &Caller,
+    after: Option<SessionId>,
+    limit: usize,
+) -> Vec<sutura_store::SessionInfo> {
+    match caller.tenant() {
+        Some(tenant) => gateway.store().list_of(tenant, after, limit),
+        None => gateway.store().list(after, limit),
+    }
+}
+
 /// Opens a session from what a client uploaded.
 pub(crate) async fn create(
     gateway: &Gateway,
+    caller: &Caller,
     upload: session::Upload,
 ) -> Result<SessionId, Problem> {
     let limits = &gateway.store().config().limits;
     let limits = MeshLimits { max_vertices: limits.max_vertices, max_tets: limits.max_tets };
-    let request = gateway
+    let mut request = gateway
         .store()
         .compute("reading a mesh", move |_| session::create(upload, &limits))
         .await??;
+    request.tenant = caller.tenant().map(str::to_owned);
     Ok(gateway.store().create(request).await?)
 }
 

@@ -1,10 +1,11 @@
 //! What both transports share: the store, the limits, and the signal to wind down.
 
+use crate::access::Keyring;
 use crate::limits::Limits;
 use crate::metrics;
 use crate::problem::{Kind, Problem};
 use metrics_exporter_prometheus::PrometheusHandle;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError, RwLock};
 use sutura_store::Store;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
@@ -22,6 +23,7 @@ struct Inner {
     uploads: Arc<Semaphore>,
     streams: Arc<Semaphore>,
     winding_down: watch::Sender<bool>,
+    keys: RwLock<Arc<Keyring>>,
 }
 
 impl Gateway {
@@ -32,6 +34,7 @@ impl Gateway {
             uploads: Arc::new(Semaphore::new(limits.max_uploads)),
             streams: Arc::new(Semaphore::new(limits.max_streams)),
             winding_down: watch::Sender::new(false),
+            keys: RwLock::default(),
             store,
             limits,
             recorder,
@@ -47,6 +50,16 @@ impl Gateway {
     /// The bounds in force.
     pub fn limits(&self) -> &Limits {
         &self.inner.limits
+    }
+
+    /// Asks everybody for one of these keys from now on, unless they leave the daemon open.
+    pub fn set_keys(&self, keys: Keyring) {
+        *self.inner.keys.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(keys);
+    }
+
+    /// The keys that open the daemon.
+    pub(crate) fn keys(&self) -> Arc<Keyring> {
+        self.inner.keys.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     pub(crate) fn recorder(&self) -> &PrometheusHandle {

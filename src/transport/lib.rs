@@ -20,6 +20,7 @@
 //! # }
 //! ```
 
+mod access;
 pub mod bus;
 mod command;
 mod conversion;
@@ -33,6 +34,7 @@ mod problem;
 mod tests;
 
 pub use conversion::session::UNNAMED;
+pub use access::{Grant, KeyHash, Keyring, Role, hash, key};
 pub use gateway::Gateway;
 pub use limits::Limits;
 pub use metrics::install_recorder;

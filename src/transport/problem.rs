@@ -14,6 +14,7 @@ pub(crate) enum Kind {
     MalformedDocument,
     MalformedMesh,
     MalformedParameter,
+    Unauthorized,
     Forbidden,
     NoRoute,
     NoSession,
@@ -45,10 +46,11 @@ pub(crate) enum Kind {
 
 impl Kind {
     #[cfg(test)]
-    pub(crate) const ALL: [Kind; 30] = [
+    pub(crate) const ALL: [Kind; 31] = [
         Kind::MalformedDocument,
         Kind::MalformedMesh,
         Kind::MalformedParameter,
+        Kind::Unauthorized,
         Kind::Forbidden,
         Kind::NoRoute,
         Kind::NoSession,
@@ -84,6 +86,7 @@ impl Kind {
             Kind::MalformedDocument => (400, "malformed-document", "Malformed document"),
             Kind::MalformedMesh => (400, "malformed-mesh", "Malformed mesh file"),
             Kind::MalformedParameter => (400, "malformed-parameter", "Malformed parameter"),
+            Kind::Unauthorized => (401, "unauthorized", "No valid key"),
             Kind::Forbidden => (403, "forbidden", "Forbidden"),
             Kind::NoRoute => (404, "no-route", "No such path"),
             Kind::NoSession => (404, "no-session", "No such session"),

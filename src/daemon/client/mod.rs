@@ -29,9 +29,18 @@ pub(crate) struct ClientArgs {
         default_value = "http://127.0.0.1:8080"
     )]
     server: String,
+    /// The key that it asks for, if it does.
+    #[arg(long, env = "SUTURA_KEY", hide_env_values = true, value_name = "KEY")]
+    key: Option<String>,
     /// Print JSON.
     #[arg(long)]
     json: bool,
+}
+
+impl ClientArgs {
+    async fn connect(&self) -> Result<Client, Error> {
+        Client::connect_with_key(&self.server, self.key.as_deref()).await
+    }
 }
 
 /// Options of `sutura info`.
@@ -152,7 +161,7 @@ fn with_cause(error: &Error) -> String {
 
 /// Prints one session, or a table of all.
 pub(crate) async fn info(args: InfoArgs) -> Result<(), ClientError> {
-    let client = Client::connect(&args.client.server).await?;
+    let client = args.client.connect().await?;
     if let Some(id) = &args.session {
         let info = client.session(id)?.info().await?;
         return if args.client.json { print_json(&info) } else { print_session(&info) };
@@ -184,14 +193,14 @@ pub(crate) async fn stitch(args: StitchArgs) -> Result<(), ClientError> {
         deadline_ms: args.deadline_ms,
         ..EditRequest::new(vec![stitch])
     };
-    let client = Client::connect(&args.client.server).await?;
+    let client = args.client.connect().await?;
     let reply = client.session(&args.session)?.edit(&request).await?;
     if args.client.json { print_json(&reply) } else { print_reply(&reply) }
 }
 
 /// Prints what happens to a session until it ends.
 pub(crate) async fn watch(args: WatchArgs) -> Result<(), ClientError> {
-    let client = Client::connect(&args.client.server).await?;
+    let client = args.client.connect().await?;
     let mut events = client.session(&args.session)?.events().await?;
     while let Some(event) = events.next().await? {
         if args.client.json { print_json_line(&event)? } else { print_event(&event)? }

@@ -4,6 +4,7 @@
 //! names the file and the line. The store's and the transports' own configuration is read in place,
 //! so each default stands once, with its owner. `deploy/sutura.toml` lists everything.
 
+mod access;
 mod bounds;
 mod data;
 mod http;
@@ -15,6 +16,7 @@ mod traffic;
 mod work;
 mod zenoh;
 
+pub(crate) use access::AccessConfig;
 pub(crate) use data::{DataConfig, DataPath};
 pub(crate) use http::HttpConfig;
 pub(crate) use log::{LogConfig, LogFormat};
@@ -31,6 +33,8 @@ use std::path::{Path, PathBuf};
 pub(crate) struct Config {
     /// Where sessions are kept.
     pub(crate) data: DataConfig,
+    /// Who is let in.
+    pub(crate) access: AccessConfig,
     /// Where HTTP is served.
     pub(crate) http: HttpConfig,
     /// Where Zenoh is served, and as whom.

@@ -94,6 +94,7 @@ impl Contents {
 /// A session's name and what generations it begins with.
 pub(crate) struct Beginning<'a> {
     pub(crate) name: &'a str,
+    pub(crate) tenant: Option<&'a str>,
     pub(crate) mesh: &'a Arc<TetMesh>,
     pub(crate) params: &'a BuildParams,
     pub(crate) generations: Vec<Arc<Generation>>,
@@ -177,10 +178,11 @@ impl Archive {
         id: SessionId,
         beginning: &Beginning<'_>,
     ) -> Result<Journal, StoreError> {
-        let Beginning { name, mesh, params, generations, seams } = beginning;
+        let Beginning { name, tenant, mesh, params, generations, seams } = beginning;
         let MeshSize { n_vertices, n_tets, n_domains, n_components } = MeshSize::of(mesh);
         let session = Record::Session(Box::new(SessionRecord {
             name: (*name).to_owned(),
+            tenant: tenant.map(str::to_owned),
             mesh: self.mesh_name_of(id, mesh)?,
             size: SizeRecord {
                 n_vertices: n_vertices as u64,

@@ -74,6 +74,7 @@ pub(crate) enum Record {
 #[derive(Clone, Serialize, Deserialize)]
 pub(crate) struct SessionRecord {
     pub(crate) name: String,
+    pub(crate) tenant: Option<String>,
     pub(crate) mesh: Digest,
     pub(crate) size: SizeRecord,
     pub(crate) params: ParamsRecord,

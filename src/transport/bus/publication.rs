@@ -1,6 +1,7 @@
 //! What the daemon says unasked (states, generations) and the forces it hears.
 
-use super::query::{Form, json};
+use super::query::{Form, identify, json};
+use crate::access::Role;
 use crate::command;
 use crate::conversion::{event, simulation};
 use crate::gateway::Gateway;
@@ -70,7 +71,12 @@ impl States {
             return;
         }
         if let Ok(frames) = gateway.store().subscribe_frames(id) {
-            let task = self.tasks.spawn(publish_states(zenoh_session.clone(), id, frames));
+            let task = self.tasks.spawn(publish_states(
+                gateway.clone(),
+                zenoh_session.clone(),
+                id,
+                frames,
+            ));
             self.followed.insert(id, task);
         }
     }
@@ -82,9 +88,11 @@ impl States {
     }
 }
 
-/// Publishes the states of one session until it ends. Sending never waits for a slow reader: a
+/// Publishes the states of one session until it ends: nothing while there are keys, since nobody who
+/// subscribes can be asked for one. Sending never waits for a slow reader: a
 /// state that does not fit into its link's queue is dropped there.
 async fn publish_states(
+    gateway: Gateway,
     zenoh_session: Session,
     id: SessionId,
     mut frames: broadcast::Receiver<Arc<Frame>>,
@@ -103,6 +111,7 @@ async fn publish_states(
     };
     loop {
         let frame = match frames.recv().await {
+            Ok(_) if !gateway.keys().is_open() => continue,
             Ok(frame) => frame,
             Err(RecvError::Lagged(count)) => {
                 metrics::frames_dropped("zenoh", count);
@@ -130,6 +139,10 @@ async fn publish_generation(
     id: SessionId,
     number: u64,
 ) {
+    // Nobody who subscribes can be asked for a key.
+    if !gateway.keys().is_open() {
+        return;
+    }
     // It may have been overtaken by many others and be gone.
     let Ok(generation) = gateway.store().generation(id, GenerationRef::Number(number)) else {
         return;
@@ -181,6 +194,9 @@ async fn pull(gateway: &Gateway, sample: &Sample) -> Result<(), Problem> {
         .ok_or_else(|| Problem::new(Kind::MalformedParameter, "forces are for one session"))?;
     let id = command::session_id(id)?;
     let form = Form::of(Some(sample.encoding()))?;
+    let caller = identify(gateway, sample.attachment())?;
+    caller.check_role(Role::Edit)?;
+    caller.check_session(gateway, id)?;
     match resource {
         Resource::Grabs => {
             let request = form.parse(gateway, Some(sample.payload())).await?;

@@ -1,5 +1,6 @@
 //! Queries: parse, command, reply.
 
+use crate::access::{Caller, Role};
 use crate::command::{self, ArrayParams, ArrayRequest};
 use crate::conversion::array::ArrayKind;
 use crate::conversion::document::{parse_bincode, parse_json};
@@ -91,6 +92,12 @@ pub(super) async fn declare(gateway: &Gateway, zenoh_session: &Session) -> zenoh
     Ok(Queries { queryables, places, n_places })
 }
 
+/// Whoever shows the key in this attachment.
+pub(super) fn identify(gateway: &Gateway, key: Option<&ZBytes>) -> Result<Caller, Problem> {
+    let key = key.map(|key| key.to_bytes());
+    gateway.keys().identify(key.as_ref().and_then(|key| std::str::from_utf8(key).ok()))
+}
+
 /// What goes back under one key.
 struct Answer {
     key: String,
@@ -114,13 +121,19 @@ async fn answer(
     resource: Resource,
     query: &Query,
 ) -> Result<Vec<Answer>, Problem> {
+    let caller = identify(gateway, query.attachment())?;
+    caller.check_role(match resource {
+        Resource::Edits | Resource::Seams => Role::Edit,
+        _ => Role::Read,
+    })?;
     let Some((id, _)) = keys::parse_session(query.key_expr()) else {
         return match resource {
-            Resource::Info => infos(gateway, query),
+            Resource::Info => infos(gateway, &caller, query),
             _ => Err(Problem::new(Kind::MalformedParameter, "ask for one session")),
         };
     };
     let id = command::session_id(id)?;
+    caller.check_session(gateway, id)?;
     let key = query.key_expr().to_string();
     let (encoding, payload) = match resource {
         Resource::Edits => edit(gateway, id, query).await?,
@@ -145,8 +158,9 @@ async fn answer(
 }
 
 /// `info` of every session that the query's key expression matches: how clients find sessions.
-fn infos(gateway: &Gateway, query: &Query) -> Result<Vec<Answer>, Problem> {
-    let sessions = gateway.store().list(None, gateway.store().config().limits.max_sessions);
+fn infos(gateway: &Gateway, caller: &Caller, query: &Query) -> Result<Vec<Answer>, Problem> {
+    let most = gateway.store().config().limits.max_sessions;
+    let sessions = command::list(gateway, caller, None, most);
     let mut answers = Vec::new();
     for session in &sessions {
         let key = keys::session(&session.id.to_string(), Resource::Info).unwrap_or_default();

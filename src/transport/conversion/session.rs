@@ -55,7 +55,7 @@ pub(crate) fn create(upload: Upload, limits: &MeshLimits) -> Result<CreateSessio
     let mesh = Arc::new(mesh);
     let params = build_params(&config, &mesh, &materials)?;
     let name = config.name.unwrap_or_else(|| UNNAMED.to_owned());
-    Ok(CreateSession { name, mesh, params })
+    Ok(CreateSession { name, tenant: None, mesh, params })
 }
 
 fn inline_mesh(mesh: MeshConfig, limits: &MeshLimits) -> Result<MeshFile, Problem> {

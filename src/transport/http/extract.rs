@@ -1,5 +1,6 @@
 //! What handlers take from a request, refusing with a problem document.
 
+use crate::access::Caller;
 use crate::command;
 use crate::conversion::document::parse_json;
 use crate::gateway::Gateway;
@@ -18,14 +19,33 @@ use sutura_store::{GenerationRef, SessionId};
 /// Bytes read past a limit and thrown away.
 const MAX_DISCARDED_BYTES: usize = 64 << 20;
 
-/// The session that the path names. Whether it exists is for the store to say.
+/// The session that the path names. Whether it exists is for the store to say, unless it is another tenant's:
+/// then it does not.
 pub(super) struct InSession(pub(super) SessionId);
 
-impl<S: Send + Sync> FromRequestParts<S> for InSession {
+impl FromRequestParts<Gateway> for InSession {
     type Rejection = Problem;
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
-        command::session_id(&path_param(parts, state, "id").await?).map(InSession)
+    async fn from_request_parts(parts: &mut Parts, gateway: &Gateway) -> Result<Self, Problem> {
+        let id = command::session_id(&path_param(parts, gateway, "id").await?)?;
+        caller(parts)?.check_session(gateway, id)?;
+        Ok(InSession(id))
     }
+}
+
+/// Whoever asks.
+pub(super) struct By(pub(super) Caller);
+
+impl<S: Send + Sync> FromRequestParts<S> for By {
+    type Rejection = Problem;
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
+        caller(parts).cloned().map(By)
+    }
+}
+
+/// Whom [`super::layers::authorize`] has let in.
+fn caller(parts: &Parts) -> Result<&Caller, Problem> {
+    let nobody = || Problem::new(Kind::Internal, "the route lets nobody in");
+    parts.extensions.get::<Caller>().ok_or_else(nobody)
 }
 
 /// The generation that the path names.

@@ -1,11 +1,12 @@
 //! What surrounds every request: its name, its trace, its measurement, and the guards.
 
+use crate::access::Role;
 use crate::gateway::Gateway;
 use crate::metrics;
 use crate::problem::{Kind, Problem};
 use axum::Router;
 use axum::extract::{MatchedPath, Request, State};
-use axum::http::{HeaderName, HeaderValue};
+use axum::http::{HeaderName, HeaderValue, Method, header};
 use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use std::time::Instant;
@@ -49,6 +50,49 @@ pub(super) fn shed_load(router: Router<Gateway>, gateway: &Gateway) -> Router<Ga
         }
     }
     router.layer(from_fn_with_state(gateway.clone(), admit))
+}
+
+/// Lets in who shows a key that is good for what they ask, everybody where there are no keys.
+pub(super) fn authorize(router: Router<Gateway>, gateway: &Gateway) -> Router<Gateway> {
+    async fn admit(State(gateway): State<Gateway>, mut request: Request, next: Next) -> Response {
+        let key = presented(&request);
+        let caller = gateway.keys().identify(key.as_deref());
+        let admitted = caller.and_then(|caller| {
+            caller.check_role(needed(request.method(), request.uri().path()))?;
+            Ok(caller)
+        });
+        match admitted {
+            Ok(caller) => {
+                request.extensions_mut().insert(caller);
+                next.run(request).await
+            }
+            Err(problem) => problem.into_response(),
+        }
+    }
+    router.layer(from_fn_with_state(gateway.clone(), admit))
+}
+
+/// The key that a request shows. Browsers can send no header with a WebSocket or an event stream: those
+/// two may show it as `?access_token=` (which no log of ours holds).
+fn presented(request: &Request) -> Option<String> {
+    let header = request.headers().get(header::AUTHORIZATION).and_then(|h| h.to_str().ok());
+    if let Some((scheme, key)) = header.and_then(|header| header.split_once(' ')) {
+        return scheme.eq_ignore_ascii_case("bearer").then(|| key.trim().to_owned());
+    }
+    let path = request.uri().path();
+    let is_stream = path.ends_with("/stream") || path.ends_with("/events");
+    let query = request.uri().query().filter(|_| is_stream)?;
+    query.split('&').find_map(|pair| pair.strip_prefix("access_token=")).map(str::to_owned)
+}
+
+/// The role that a request takes.
+fn needed(method: &Method, path: &str) -> Role {
+    match *method {
+        _ if path == "/metrics" => Role::Admin,
+        Method::GET | Method::HEAD | Method::OPTIONS => Role::Read,
+        Method::POST if path.ends_with("/evaluate") => Role::Read,
+        _ => Role::Edit,
+    }
 }
 
 /// Forgets a client's request id that could not be repeated safely in a header or a log line; the

@@ -22,7 +22,7 @@ mod viewer;
 pub use router::router;
 pub use serve::serve;
 
-use crate::problem::Problem;
+use crate::problem::{Kind, Problem};
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use sutura_proto::media;
@@ -35,6 +35,10 @@ impl IntoResponse for Problem {
         let content_type = HeaderValue::from_static(media::PROBLEM_JSON);
         let mut response =
             (status, [(header::CONTENT_TYPE, content_type)], self.to_json()).into_response();
+        if self.kind == Kind::Unauthorized {
+            let challenge = HeaderValue::from_static("Bearer realm=\"sutura\"");
+            response.headers_mut().insert(header::WWW_AUTHENTICATE, challenge);
+        }
         if let Some(seconds) = self.retry_after_s {
             response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(seconds));
         }

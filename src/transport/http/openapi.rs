@@ -372,7 +372,7 @@ impl Route {
     fn problems(&self) -> BTreeMap<u16, Vec<Kind>> {
         let mut kinds = self.problems.to_vec();
         if self.path.starts_with("/v1") {
-            kinds.extend([Kind::Busy, Kind::StorageFailed]);
+            kinds.extend([Kind::Unauthorized, Kind::Forbidden, Kind::Busy, Kind::StorageFailed]);
         }
         if self.path.contains("{id}") {
             kinds.push(Kind::NoSession);
@@ -381,7 +381,7 @@ impl Route {
             kinds.extend([Kind::NoGeneration, Kind::MalformedParameter]);
         }
         if self.method != HttpMethod::Get {
-            kinds.extend([Kind::Forbidden, Kind::StorageFull]);
+            kinds.push(Kind::StorageFull);
         }
         if !matches!(self.request, Body::Empty) {
             kinds.extend([

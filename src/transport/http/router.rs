@@ -66,9 +66,13 @@ fn operations() -> Vec<(&'static str, MethodRouter<Gateway>)> {
         ("/", get(viewer::page)),
         ("/healthz", get(operations::healthz)),
         ("/readyz", get(operations::readyz)),
-        ("/metrics", get(operations::metrics)),
         ("/openapi.json", get(operations::openapi)),
     ]
+}
+
+/// What only those ask for who run it.
+fn guarded() -> Vec<(&'static str, MethodRouter<Gateway>)> {
+    vec![("/metrics", get(operations::metrics))]
 }
 
 /// The whole HTTP API over `gateway`.
@@ -78,8 +82,10 @@ pub fn router(gateway: Gateway) -> Router {
             .into_iter()
             .fold(Router::new(), |router, (path, methods)| router.route(path, methods))
     };
-    let api = layers::shed_load(routes(api()), &gateway);
+    let api = layers::shed_load(layers::authorize(routes(api()), &gateway), &gateway);
+    let guarded = layers::authorize(routes(guarded()), &gateway);
     let router = api
+        .merge(guarded)
         .merge(routes(operations()))
         .merge(viewer::assets())
         .fallback(no_route)
@@ -92,5 +98,5 @@ pub fn router(gateway: Gateway) -> Router {
 /// Every path of the API.
 #[cfg(test)]
 pub(super) fn paths() -> Vec<&'static str> {
-    api().into_iter().chain(operations()).map(|(path, _)| path).collect()
+    api().into_iter().chain(guarded()).chain(operations()).map(|(path, _)| path).collect()
 }

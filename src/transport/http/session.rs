@@ -1,6 +1,6 @@
 //! Sessions: open, describe, list, fork, name seams, delete.
 
-use super::extract::{Document, DocumentOrDefault, InSession, Params};
+use super::extract::{By, Document, DocumentOrDefault, InSession, Params};
 use super::upload::upload;
 use crate::command;
 use crate::conversion::session;
@@ -24,12 +24,13 @@ pub(super) struct WaitParams {
 /// POST /v1/sessions
 pub(super) async fn create(
     State(gateway): State<Gateway>,
+    By(caller): By,
     Params(params): Params<WaitParams>,
     request: Request,
 ) -> Result<Response, Problem> {
     let wait = wait(&gateway, params.wait_s)?;
     let place = gateway.admit_upload().await?;
-    let id = command::create(&gateway, upload(&gateway, request).await?).await?;
+    let id = command::create(&gateway, &caller, upload(&gateway, request).await?).await?;
     drop(place);
     Ok(made(StatusCode::ACCEPTED, info_in_time(&gateway, id, wait).await?))
 }
@@ -81,6 +82,7 @@ const PAGE: usize = 50;
 /// GET /v1/sessions
 pub(super) async fn list(
     State(gateway): State<Gateway>,
+    By(caller): By,
     Params(params): Params<ListParams>,
 ) -> Result<Json<SessionList>, Problem> {
     let longest = gateway.limits().max_page;
@@ -91,7 +93,7 @@ pub(super) async fn list(
     }
     let after = params.after.as_deref().map(command::session_id).transpose()?;
     // One more than asked for tells whether another page follows.
-    let found = gateway.store().list(after, limit + 1);
+    let found = command::list(&gateway, &caller, after, limit + 1);
     let sessions: Vec<SessionInfo> = found.iter().take(limit).map(session::info).collect();
     let next = (found.len() > limit).then(|| sessions.last().map(|s| s.id.clone())).flatten();
     Ok(Json(SessionList { sessions, next }))
