@@ -1,5 +1,6 @@
 //! Integration tests: one binary, a module a subject.
 
+mod access;
 mod arrays;
 mod bodies;
 mod daemon;
