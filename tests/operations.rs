@@ -5,7 +5,7 @@ use crate::daemon::Daemon;
 use serde_json::Value;
 use std::collections::BTreeSet;
 
-const ROUTES: [(&str, &[&str]); 27] = [
+const ROUTES: [(&str, &[&str]); 28] = [
     ("/", &["get"]),
     ("/healthz", &["get"]),
     ("/readyz", &["get"]),
@@ -32,6 +32,7 @@ const ROUTES: [(&str, &[&str]); 27] = [
     ("/v1/sessions/{id}/evaluate", &["post"]),
     ("/v1/sessions/{id}/simulation", &["delete", "get", "put"]),
     ("/v1/sessions/{id}/simulation/forces", &["post"]),
+    ("/v1/sessions/{id}/simulation/grabs", &["post"]),
     ("/v1/sessions/{id}/stream", &["get"]),
 ];
 

@@ -33,8 +33,8 @@ mod problem;
 #[cfg(test)]
 mod tests;
 
-pub use conversion::session::UNNAMED;
 pub use access::{Grant, KeyHash, Keyring, Role, hash, key};
+pub use conversion::session::UNNAMED;
 pub use gateway::Gateway;
 pub use limits::Limits;
 pub use metrics::install_recorder;
