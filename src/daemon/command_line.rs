@@ -59,7 +59,7 @@ pub(crate) enum Command {
     Prepare(PrepareArgs),
     /// Show the main job on a bundled stomach, or on your own mesh, and leave a report and pictures.
     Demo(DemoArgs),
-    /// Check whether this machine can run a daemon as configured: cores, memory, ports.
+    /// Check whether this machine can run a daemon as configured: cores, memory, data folder, ports.
     Doctor(DoctorArgs),
     /// Print completions for a shell: `source <(sutura completions bash)`.
     Completions {

@@ -5,7 +5,7 @@ use clap::Args;
 use serde::Serialize;
 use std::io::{IsTerminal, Write};
 use std::net::{SocketAddr, TcpListener};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 use sutura_client::Client;
 
@@ -91,6 +91,7 @@ pub(crate) async fn run(args: &DoctorArgs) -> Result<(), DoctorError> {
         ),
         cores(&config),
         memory(),
+        data(&config),
     ];
     let is_served = daemon(&config, &mut checks).await;
     checks.push(port("http", config.http.listen, is_served));
@@ -139,6 +140,31 @@ fn memory() -> Check {
                 Check::ok("memory", found)
             }
         }
+    }
+}
+
+/// Whether sessions can be kept: the folder, or the nearest one above it that is there, is tried.
+fn data(config: &Config) -> Check {
+    let Some(path) = &config.data.path.0 else {
+        return Check::ok("data", "sessions are kept in memory alone, as configured");
+    };
+    let existing =
+        path.ancestors().map(|p| if p.as_os_str().is_empty() { Path::new(".") } else { p });
+    let Some(folder) = existing.into_iter().find(|folder| folder.exists()) else {
+        let advice = "name a folder that can be made: sutura serve --data DIR";
+        let found = format!("{}: no folder above it exists", path.display());
+        return Check::not_ok("data", Outcome::Failed, found, advice);
+    };
+    // Its name tells whose it is, should it be left behind.
+    let probe = folder.join(format!(".sutura-doctor-{}", std::process::id()));
+    match std::fs::create_dir(&probe).and_then(|()| std::fs::remove_dir(&probe)) {
+        Ok(()) => Check::ok("data", format!("{} can be written to", path.display())),
+        Err(error) => Check::not_ok(
+            "data",
+            Outcome::Failed,
+            format!("{}: {error}", folder.display()),
+            "sessions would not outlast the daemon: serve --data a folder that can be written to, or none",
+        ),
     }
 }
 

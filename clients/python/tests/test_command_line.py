@@ -240,11 +240,12 @@ def test_the_doctor_looks_at_ports(daemon: Daemon, tmp_path: Path) -> None:
         port = taken.getsockname()[1]
         config = tmp_path / "sutura.toml"
         free = '[http]\nlisten = "127.0.0.1:{}"\n[zenoh]\nlisten = "tcp/127.0.0.1:0"\n'
-        config.write_text(free.format(port))
+        config.write_text(free.format(port) + f'[data]\npath = "{tmp_path / "kept"}"\n')
         done = run("doctor", "--config", config, "--json", code=1)
         checks = {check["name"]: check for check in json.loads(done.stdout)}
         assert checks["http"]["outcome"] == "failed" and "advice" in checks["http"]
         assert checks["zenoh"]["outcome"] == "ok"
+        assert checks["data"]["outcome"] == "ok" and not (tmp_path / "kept").exists()
     config.write_text(free.format(daemon.http.rsplit(":", 1)[1].strip("/")))
     checks = {c["name"]: c for c in json.loads(run("doctor", "--config", config, "--json").stdout)}
     assert "answers" in checks["daemon"]["found"] and checks["http"]["outcome"] == "ok"

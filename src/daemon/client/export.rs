@@ -7,7 +7,7 @@ use clap::Args;
 use serde::Serialize;
 use std::io::Write;
 use std::path::PathBuf;
-use sutura_client::{Arrays, Client, Error, Generation, Session, Tracker};
+use sutura_client::{Arrays, Error, Generation, Session, Tracker};
 use sutura_core::mesh::TetMesh;
 
 /// Options of `sutura export`.
@@ -88,7 +88,7 @@ pub(crate) async fn run(args: ExportArgs) -> Result<(), ExportCommandError> {
     {
         return Err(ExportCommandError::Duration(seconds));
     }
-    let client = Client::connect(&args.client.server).await?;
+    let client = args.client.connect().await?;
     let session = client.session(&args.session)?;
     if args.record.is_some() {
         // Refused if nothing is simulated, before anything is written.
