@@ -233,6 +233,24 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No such session */
                 404: {
                     headers: {
@@ -242,7 +260,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -287,6 +305,15 @@ export interface paths {
                 };
                 /** @description Malformed mesh file; Malformed parameter; Malformed document */
                 400: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No valid key */
+                401: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -348,8 +375,17 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No room to keep it */
+                507: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -375,7 +411,10 @@ export interface paths {
         /** Describe a session */
         get: {
             parameters: {
-                query?: never;
+                query?: {
+                    /** @description hold the answer until its body is there, at most so many seconds */
+                    wait_s?: string;
+                };
                 header?: never;
                 path: {
                     id: string;
@@ -393,6 +432,33 @@ export interface paths {
                         "application/json": components["schemas"]["SessionInfo"];
                     };
                 };
+                /** @description Malformed parameter */
+                400: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No such session */
                 404: {
                     headers: {
@@ -402,7 +468,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -434,6 +500,15 @@ export interface paths {
                     };
                     content?: never;
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description Forbidden */
                 403: {
                     headers: {
@@ -452,8 +527,17 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No room to keep it */
+                507: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -504,6 +588,15 @@ export interface paths {
                 };
                 /** @description Malformed document */
                 400: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No valid key */
+                401: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -574,8 +667,17 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No room to keep it */
+                507: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -627,6 +729,15 @@ export interface paths {
                 };
                 /** @description Malformed document */
                 400: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No valid key */
+                401: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -697,8 +808,17 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No room to keep it */
+                507: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -742,6 +862,24 @@ export interface paths {
                         "text/event-stream": string;
                     };
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No such session */
                 404: {
                     headers: {
@@ -751,7 +889,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -806,6 +944,15 @@ export interface paths {
                 };
                 /** @description Malformed document */
                 400: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No valid key */
+                401: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -876,8 +1023,17 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No room to keep it */
+                507: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -935,6 +1091,24 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No such session; No such generation */
                 404: {
                     headers: {
@@ -980,7 +1154,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -1040,6 +1214,24 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No such session; No such generation */
                 404: {
                     headers: {
@@ -1085,7 +1277,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -1147,6 +1339,24 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No such session; No such generation */
                 404: {
                     headers: {
@@ -1192,7 +1402,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -1255,6 +1465,24 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No such block of columns; No such session; No such generation */
                 404: {
                     headers: {
@@ -1300,7 +1528,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -1356,6 +1584,15 @@ export interface paths {
                 };
                 /** @description Malformed parameter; Malformed document */
                 400: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No valid key */
+                401: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -1426,8 +1663,17 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No room to keep it */
+                507: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -1484,6 +1730,24 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No such session; No such generation */
                 404: {
                     headers: {
@@ -1529,7 +1793,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -1590,6 +1854,24 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No such session; No such generation */
                 404: {
                     headers: {
@@ -1635,7 +1917,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -1696,6 +1978,24 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No such session; No such generation */
                 404: {
                     headers: {
@@ -1741,7 +2041,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -1802,6 +2102,24 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No such session; No such generation */
                 404: {
                     headers: {
@@ -1847,7 +2165,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -1907,6 +2225,24 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No such session; No such generation */
                 404: {
                     headers: {
@@ -1952,7 +2288,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -2013,6 +2349,24 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No such session; No such generation */
                 404: {
                     headers: {
@@ -2058,7 +2412,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -2121,6 +2475,24 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No such session; No such generation */
                 404: {
                     headers: {
@@ -2166,7 +2538,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -2221,6 +2593,15 @@ export interface paths {
                 };
                 /** @description Malformed document */
                 400: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No valid key */
+                401: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -2291,8 +2672,17 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No room to keep it */
+                507: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -2336,6 +2726,24 @@ export interface paths {
                         "application/json": components["schemas"]["SimulationInfo"];
                     };
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No simulation; No such session */
                 404: {
                     headers: {
@@ -2354,7 +2762,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -2392,6 +2800,15 @@ export interface paths {
                 };
                 /** @description Malformed document */
                 400: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No valid key */
+                401: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -2471,8 +2888,17 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No room to keep it */
+                507: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -2502,6 +2928,15 @@ export interface paths {
                     };
                     content?: never;
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description Forbidden */
                 403: {
                     headers: {
@@ -2520,8 +2955,17 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No room to keep it */
+                507: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -2570,6 +3014,15 @@ export interface paths {
                 };
                 /** @description Malformed document */
                 400: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No valid key */
+                401: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -2631,8 +3084,17 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No room to keep it */
+                507: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -2682,6 +3144,15 @@ export interface paths {
                 };
                 /** @description Malformed document */
                 400: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No valid key */
+                401: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -2752,8 +3223,17 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description No room to keep it */
+                507: {
                     headers: {
                         [name: string]: unknown;
                     };
@@ -2797,6 +3277,24 @@ export interface paths {
                         "application/vnd.sutura.state": string;
                     };
                 };
+                /** @description No valid key */
+                401: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description Forbidden */
+                403: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description No such session */
                 404: {
                     headers: {
@@ -2815,7 +3313,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy */
+                /** @description Too busy; The data directory failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -3479,7 +3977,7 @@ export interface components {
         };
         /**
          * @description A session. Counts that a build has yet to find are 0, and lists empty, while `state` is
-         *     `building` or `failed`.
+         *     `building` or `failed`, and while the body is not in memory: `stored` or `restoring`.
          */
         SessionInfo: {
             /** @description Columns of the basis. */
@@ -3569,7 +4067,7 @@ export interface components {
          * @description What a session is doing.
          * @enum {string}
          */
-        SessionState: "building" | "ready" | "rebuilding" | "failed";
+        SessionState: "building" | "ready" | "rebuilding" | "failed" | "stored" | "restoring";
         /** @description How a session is simulated. */
         SimulationConfig: {
             /**
