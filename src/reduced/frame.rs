@@ -41,15 +41,15 @@ pub struct FreeBody {
     center_m: Vector3<f64>,
     /// Σ m X Xᵀ from the centre of mass.
     rest: Mat3,
-    /// Column 3·a + b: Σ m u_j[a] X[b] (r×9).
+    /// Column 3·a + b: Σ m u_j\[a\] X\[b\] (r×9).
     mixed: Mat<f64>,
-    /// Number 3·a + b: Σ m u_i[a] u_j[b] (r×r).
+    /// Number 3·a + b: Σ m u_i\[a\] u_j\[b\] (r×r).
     sandwich: [Mat<f64>; 9],
 }
 
 impl FreeBody {
-    /// `rest` is Σ m X Xᵀ about the centre of mass `center_m`; column 3·a + b of `mixed` (r×9) is Σ m u_j[a] X[b];
-    /// number 3·a + b of `sandwich` (r×r) is Σ m u_i[a] u_j[b].
+    /// `rest` is Σ m X Xᵀ about the centre of mass `center_m`; column 3·a + b of `mixed` (r×9) is Σ m u_j\[a\] X\[b\];
+    /// number 3·a + b of `sandwich` (r×r) is Σ m u_i\[a\] u_j\[b\].
     pub fn new(
         mass_kg: f64,
         center_m: [f64; 3],

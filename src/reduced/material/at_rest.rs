@@ -26,14 +26,14 @@ impl AtRest {
         e * (2.0 * lame_mu) + Mat3::identity() * (lame_lambda * e.trace())
     }
 
-    /// DP(0)[A], in Pa.
+    /// DP(0)\[A\], in Pa.
     pub fn stress_derivative(&self, a: &Mat3) -> Mat3 {
         self.linear(&symmetric(a))
     }
 
-    /// D²P(0)[A, B] in Pa: the integrand of (H:v)w (\[B12\] eq. 15) with A = ∇v, B = ∇w. With S(E) the
+    /// D²P(0)\[A, B\] in Pa: the integrand of (H:v)w (\[B12\] eq. 15) with A = ∇v, B = ∇w. With S(E) the
     /// linear part and T(E) the quadratic part of the second Piola–Kirchhoff stress, P = F (S + T) gives
-    /// A S(sym B) + B S(sym A) + S(sym(AᵀB)) + T'(sym A)[sym B].
+    /// A S(sym B) + B S(sym A) + S(sym(AᵀB)) + T'(sym A)\[sym B\].
     pub fn stress_second_derivative(&self, a: &Mat3, b: &Mat3) -> Mat3 {
         if !self.is_nonlinear {
             return Mat3::zeros();

@@ -82,7 +82,7 @@ impl Hyperelastic for Corotational {
         polar.strain * (2.0 * lame_mu) + polar.rotation * (lame_lambda * polar.stretches.sum())
     }
 
-    /// dR = R [w]ₓ with (tr(S) I − S) w the axis of RᵀdF − dFᵀR, and d tr S = R : dF.
+    /// dR = R \[w\]ₓ with (tr(S) I − S) w the axis of RᵀdF − dFᵀR, and d tr S = R : dF.
     fn stress_derivative(&self, d: &Mat3) -> Mat9 {
         let [lame_lambda, lame_mu] = self.lame;
         let Polar { rotation, v, stretches, .. } = Polar::new(d);
