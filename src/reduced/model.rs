@@ -4,8 +4,8 @@
 use crate::dense::{self, vectorized};
 use crate::frame::FreeBody;
 use crate::material::{Elasticity, Hyperelastic, Law, Mat3, Mat9};
-use faer::linalg::matmul::triangular::{self, BlockStructure};
-use faer::{Accum, Mat, MatRef, Par};
+use faer::linalg::matmul::matmul;
+use faer::{Accum, Mat, MatMut, MatRef, Par};
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -16,6 +16,9 @@ const POINTS_PER_TASK: usize = 256;
 
 /// Points whose response ∂P/∂F·G is held at a time: it stays in the processor's cache.
 const POINTS_PER_BLOCK: usize = 64;
+
+/// Columns of the reduced stiffness that one product makes.
+const STRIP: usize = 16;
 
 /// Columns of the basis are worked on so many at a time; tables are padded to a multiple of it.
 const LANES: usize = 8;
@@ -258,7 +261,8 @@ impl ReducedModel {
         Evaluation {
             energy_j: sums.energy_j,
             force: sums.force,
-            stiffness: (0..r * r).map(|i| sums.stiffness[(i / r, i % r)]).collect(),
+            // Symmetric: its columns are its rows.
+            stiffness: (0..r).flat_map(|j| sums.stiffness.col_as_slice(j)).copied().collect(),
         }
     }
 
@@ -353,16 +357,10 @@ impl ReducedModel {
             }
             if with_stiffness {
                 let response = response.subcols(0, 9 * points.len());
-                triangular::matmul(
+                add_symmetric_product(
                     sums.stiffness.as_mut(),
-                    BlockStructure::TriangularLower,
-                    Accum::Add,
                     gradients.subrows(0, r),
-                    BlockStructure::Rectangular,
-                    response.subrows(0, r).transpose(),
-                    BlockStructure::Rectangular,
-                    1.0,
-                    Par::Seq,
+                    response.subrows(0, r),
                 );
             }
         }
@@ -413,6 +411,18 @@ fn set_gradients(mut to: faer::MatMut<'_, f64>, shape: &[[f64; 3]; 4], rows: Mat
                     (0..4).map(|corner| rows[(3 * corner + i, column)] * shape[corner][j]).sum();
             }
         }
+    }
+}
+
+/// The lower triangle of A += XYᵀ (r×k each), strip by strip of columns: a product of triangular structure
+/// by recursion took half as long again.
+fn add_symmetric_product(mut a: MatMut<'_, f64>, x: MatRef<'_, f64>, y: MatRef<'_, f64>) {
+    let r = a.nrows();
+    for first in (0..r).step_by(STRIP) {
+        let columns = STRIP.min(r - first);
+        let to = a.as_mut().submatrix_mut(first, first, r - first, columns);
+        let (x, y) = (x.subrows(first, r - first), y.subrows(first, columns));
+        matmul(to, Accum::Add, x, y.transpose(), 1.0, Par::Seq);
     }
 }
 
