@@ -4,7 +4,8 @@
 //! The daemon's core builds a [`ReducedModel`] from a body; a client builds the same one from the
 //! evaluator's tables and steps on its own.
 //!
-//! Pure and synchronous: no clock, files, network or environment. Single steps run on the calling thread alone.
+//! Pure and synchronous: no clock, files, network or environment. Models of up to 256 points are evaluated on the
+//! calling thread alone; those that sum over a whole mesh use rayon's pool.
 
 pub mod contact;
 pub mod dense;

@@ -90,13 +90,19 @@ pub struct Simulation {
     grabs: Vec<Grab>,
     environment: Option<Arc<Environment>>,
     surface: Option<Arc<ContactSurface>>,
+    /// What grabs and obstacles pulled with at the end of the last step, in the world.
+    interaction_force_n: [f64; 3],
 }
+
+/// What a substep ends with: deformation, motion of a free body, and the force of grabs and obstacles in
+/// the world.
+type Advanced = (State, Option<Motion>, Vector3<f64>);
 
 /// A step is halved at most so many times.
 const MOST_HALVINGS: u32 = 6;
 
 /// Passes over a step of a free body: the first with the frame's motion before it, the second with the mean of
-/// before and after, which makes it second order.
+/// before and after (or with what is after, for backward Euler).
 const FRAME_PASSES: usize = 2;
 
 impl Simulation {
@@ -118,12 +124,13 @@ impl Simulation {
             grabs: Vec::new(),
             environment: None,
             surface: None,
+            interaction_force_n: [0.0; 3],
         };
         simulation.prepare_oscillators()?;
         Ok(simulation)
     }
 
-    /// Advances by `dt_s` under the reduced external force `force` (r numbers, in the body's frame) and forces in N at
+    /// Advances by `dt_s` under the reduced external force `force` (r numbers, in the body's frame; or none) and forces in N at
     /// vertices (in the world); gravity, grabs and contact are added. Never leaves a non-finite state behind: a step
     /// that fails is split, and if no split works it is undone and the body brought to rest where it was.
     pub fn step(&mut self, force: &[f64], at_vertices: &[(&VertexRows, [f64; 3])]) -> StepReport {
@@ -134,14 +141,16 @@ impl Simulation {
             for halvings in 0..=MOST_HALVINGS {
                 let substeps = 1u32 << halvings;
                 let dt = self.params.dt_s / f64::from(substeps);
-                let mut at = (self.state.clone(), self.motion);
+                let mut at: Advanced = (self.state.clone(), self.motion, Vector3::zeros());
                 report.n_substeps = substeps;
                 let done = (0..substeps).all(|_| {
                     let next = self.advance(&at, force, at_vertices, dt, &mut report.n_newton);
                     next.map(|next| at = next).is_some()
                 });
                 if done {
-                    (self.state, self.motion) = at;
+                    let force_n;
+                    (self.state, self.motion, force_n) = at;
+                    self.interaction_force_n = force_n.into();
                     return report;
                 }
             }
@@ -168,20 +177,20 @@ impl Simulation {
     /// One substep; `None` if it fails.
     fn advance(
         &self,
-        start: &(State, Option<Motion>),
+        start: &Advanced,
         force: &[f64],
         at_vertices: &[(&VertexRows, [f64; 3])],
         dt: f64,
         n_newton: &mut u32,
-    ) -> Option<(State, Option<Motion>)> {
-        let (state, motion) = start;
+    ) -> Option<Advanced> {
+        let (state, motion, _) = start;
         let Some((motion, body)) = motion.as_ref().zip(self.model.free_body()) else {
             let placement = Placement::fixed();
             let mut load = self.model.gravity_load(self.params.gravity_m_s2);
             load.iter_mut().zip(force).for_each(|(load, f)| *load += f);
             add_vertex_loads(&mut load, at_vertices, &placement);
             let next = self.solve(state, &load, placement, None, dt, n_newton)?;
-            return Some((next.state, None));
+            return Some((next.state, None, next.total[0]));
         };
         let omega = motion.angular_velocity(body, &state.q, &state.velocity)?;
         let mut pass = Pass {
@@ -210,7 +219,7 @@ impl Simulation {
                 pull,
             };
             let angular_acceleration = pass.angular_acceleration;
-            found = Some((next, Some(Motion { angular_acceleration, ..moved })));
+            found = Some((next, Some(Motion { angular_acceleration, ..moved }), pull[0]));
         }
         found
     }
@@ -254,7 +263,8 @@ impl Simulation {
             &pass.omega[0],
             &pass.angular_acceleration,
         );
-        let mut reduced: Vec<f64> = load.force.iter().zip(inertial).map(|(f, i)| f - i).collect();
+        let mut reduced: Vec<f64> = inertial.iter().map(|inertial| -inertial).collect();
+        reduced.iter_mut().zip(load.force).for_each(|(load, f)| *load += f);
         add_vertex_loads(&mut reduced, load.at_vertices, &placement);
         let rigid = RigidPart {
             mass_kg: body.mass_kg(),
@@ -423,21 +433,10 @@ impl Simulation {
     pub fn velocity(&self) -> &[f64] {
         &self.state.velocity
     }
-    /// What grabs and obstacles pull with now: force in N and torque in N·m about the frame's
-    /// origin, in the body's frame.
-    pub fn interaction_force(&self) -> [[f64; 3]; 2] {
-        let interactions = self.interactions();
-        if interactions.are_none() {
-            return [[0.0; 3]; 2];
-        }
-        let State { q, velocity, .. } = &self.state;
-        interactions.pull(&self.placement(), q, velocity, None).total.map(Into::into)
-    }
-
-    /// The force of [`Self::interaction_force`] in the world, in N.
+    /// What grabs and obstacles pulled with at the end of the last step that succeeded (for exact oscillators: at its
+    /// beginning), in N, in the world.
     pub fn interaction_force_n(&self) -> [f64; 3] {
-        let [force, _] = self.interaction_force();
-        (self.placement().frame.rotation * Vector3::from(force)).into()
+        self.interaction_force_n
     }
 
     /// The surface in the current basis, if there is one.

@@ -120,7 +120,6 @@ impl SteppingThreads {
             publish_rate: PublishRate::default(),
             forces: Vec::new(),
             grabs: Vec::new(),
-            no_load: Vec::new(),
             frames,
             shared,
             on_failure: Some(Box::new(on_failure)),
@@ -310,8 +309,6 @@ struct Running {
     publish_rate: PublishRate,
     forces: Vec<ActiveForce>,
     grabs: Vec<ActiveGrab>,
-    /// Zeros: all forces act at vertices.
-    no_load: Vec<f64>,
     frames: Arc<FrameSource>,
     shared: Arc<Shared>,
     on_failure: Option<Box<dyn FnOnce() + Send>>,
@@ -409,13 +406,12 @@ impl Running {
 
     fn step(&mut self, n_late: u64) -> Result<(), StoreError> {
         let SimulationConfig { params, publish_hz, .. } = self.config;
-        self.no_load.resize(self.simulation.q().len(), 0.0);
         // A force that ends within the step counts in part, so that its impulse is what was asked for.
         let share = |active: &ActiveForce| (active.remaining_s / params.dt_s).min(1.0);
         let force = |active: &ActiveForce| active.force.force_n.map(|f| share(active) * f);
         let loads: Vec<(&VertexRows, [f64; 3])> =
             self.forces.iter().map(|active| (&active.vertex, force(active))).collect();
-        let report = self.simulation.step(&self.no_load, &loads);
+        let report = self.simulation.step(&[], &loads);
         {
             let mut info = self.shared.info();
             info.time_s = self.simulation.time_s();
