@@ -1,7 +1,7 @@
 //! What the people who run the daemon rely on.
 
 use crate::bodies::{ready_bar, seam, stitch};
-use crate::daemon::Daemon;
+use crate::daemon::{Daemon, PATIENCE};
 use serde_json::Value;
 use std::collections::BTreeSet;
 
@@ -104,8 +104,11 @@ async fn a_daemon_asked_to_go_down_ends_its_streams_and_exits_with_0() {
     let mut events = session.events().await.unwrap();
     states.next().await.unwrap().unwrap();
     let down = tokio::task::spawn_blocking(|| daemon.terminate());
-    while states.next().await.unwrap().is_some() {}
-    while events.next().await.unwrap().is_some() {}
+    let ends = async {
+        while states.next().await.unwrap().is_some() {}
+        while events.next().await.unwrap().is_some() {}
+    };
+    tokio::time::timeout(PATIENCE, ends).await.expect("both streams end");
     assert_eq!(down.await.unwrap().code(), Some(0));
 }
 

@@ -22,6 +22,27 @@ async fn next(states: &mut StateStream) -> StateFrame {
     next.expect("a state arrives").unwrap().expect("the stream goes on")
 }
 
+/// The first state that is as told; within [`PATIENCE`] of simulated time.
+async fn until(
+    states: &mut StateStream,
+    what: &str,
+    is_so: impl Fn(&StateFrame) -> bool,
+) -> StateFrame {
+    let mut state = next(states).await;
+    let end_s = state.time_s + PATIENCE.as_secs_f64();
+    while !is_so(&state) {
+        assert!(state.time_s < end_s, "not so yet: {what}; {state:?}");
+        state = next(states).await;
+    }
+    state
+}
+
+/// Reads what is still under way, up to the stream's orderly end.
+async fn to_its_end(states: &mut StateStream) {
+    let end = async { while states.next().await.unwrap().is_some() {} };
+    tokio::time::timeout(PATIENCE, end).await.expect("the stream ends");
+}
+
 fn norm(values: impl IntoIterator<Item = f32>) -> f32 {
     values.into_iter().map(|x| x * x).sum::<f32>().sqrt()
 }
@@ -150,7 +171,7 @@ async fn a_stream_ends_with_its_session() {
     next(&mut states).await;
     session.delete().await.unwrap();
     // Those under way still arrive; then the stream is closed in an orderly way.
-    while states.next().await.unwrap().is_some() {}
+    to_its_end(&mut states).await;
     let error = session.states().await.err().unwrap();
     assert_eq!(error.status(), Some(404), "{error}");
 }
@@ -200,13 +221,14 @@ async fn a_tool_moves_over_both_doors_and_a_free_body_falls_onto_a_floor() {
         damping_n_s_m: 2.0,
     };
     let hold = |height| GrabRequest { grabs: vec![grab(height)], release: Vec::new() };
-    bus.grab(&hold(0.1)).await.unwrap();
-    while next(&mut states).await.rigid[1] < 0.0 {}
-    session.grab(&hold(0.3)).await.unwrap();
-    while next(&mut states).await.rigid[1] < 0.05 {}
+    // Hanging from its tip, its centre is at most half its length of 0.2 m below that.
+    bus.grab(&hold(0.3)).await.unwrap();
+    until(&mut states, "lifted", |state| state.rigid[1] > 0.1).await;
+    session.grab(&hold(0.6)).await.unwrap();
+    until(&mut states, "lifted higher", |state| state.rigid[1] > 0.4).await;
     assert_eq!(session.simulation().await.unwrap().n_grabs, 1);
     session.grab(&GrabRequest { grabs: Vec::new(), release: vec![1] }).await.unwrap();
-    while next(&mut states).await.rigid[1] > 0.0 {}
+    until(&mut states, "fallen", |state| state.rigid[1] < 0.3).await;
     assert_eq!(session.simulation().await.unwrap().n_grabs, 0);
     let bad = GrabRequest { grabs: vec![Grab { vertex: 1 << 30, ..grab(0.0) }], release: vec![] };
     assert_eq!(session.grab(&bad).await.unwrap_err().status(), Some(422));
