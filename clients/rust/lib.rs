@@ -35,12 +35,3 @@ pub use sutura_proto as proto;
 #[cfg(feature = "simulation")]
 pub use sutura_reduced as reduced;
 pub use tracker::Tracker;
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn the_readme_shows_the_example() {
-        let example = include_str!("examples/stitch.rs");
-        assert!(include_str!("../../README.md").contains(example.trim_end()));
-    }
-}
