@@ -12,11 +12,13 @@ Comments above a block say what is particular about it:
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from pathlib import Path
 
 from blocks import DocumentError, blocks_of
+from reference import anchor
 from scenario import EXECUTABLE, ROOT, scenario
 
 # Made by tests/docs/reference.py, which has a check of its own.
@@ -40,6 +42,22 @@ def check(path: Path) -> tuple[int, list[str]]:
     return n_run, left_out
 
 
+def check_links(path: Path) -> None:
+    """That every file and heading that a page links to is there."""
+    text = re.sub(r"^```.*?^```", "", path.read_text(), flags=re.DOTALL | re.MULTILINE)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        name, _, heading = target.partition("#")
+        if "://" in target:
+            continue
+        linked = (path.parent / name).resolve() if name else path
+        if not linked.exists():
+            raise DocumentError(f"{path}: links to {target}, which is not there")
+        if heading and linked.suffix == ".md":
+            headings = re.findall(r"^#+ +(.+)$", linked.read_text(), re.MULTILINE)
+            if heading not in {anchor(one) for one in headings}:
+                raise DocumentError(f"{path}: {linked.name} has no heading {heading}")
+
+
 def main(paths: list[Path]) -> int:
     if not EXECUTABLE.exists():
         print(f"{EXECUTABLE} is not there: cargo build", file=sys.stderr)
@@ -48,6 +66,7 @@ def main(paths: list[Path]) -> int:
     for path in paths or documents():
         start = time.monotonic()
         try:
+            check_links(path)
             n, left_out = check(path)
         except DocumentError as error:
             n_failed += 1

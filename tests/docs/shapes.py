@@ -13,7 +13,7 @@ import re
 from typing import Any
 
 ELLIPSIS = "…"
-IDENTIFIER = re.compile(r"[0-9a-f]{32}")
+IDENTIFIER = re.compile(r"\b(?:[0-9a-f]{32}|[0-9a-f]{12})\b")
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|…')
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 from blocks import DocumentError
-from run import check
+from run import check, check_links
+from scenario import ROOT
 from shapes import documented, mismatch, text_matches
 
 GOOD = """
@@ -121,3 +123,21 @@ def test_shapes() -> None:
         "id 01a203b4313b74eaa8a1ddc71abf859b at 3", "id 55a203b4313b74eaa8a1ddc71abf8500 at 4.5e3"
     )
     assert not text_matches("one …", "two")
+
+
+def test_links_are_followed(tmp_path: Path) -> None:
+    path = tmp_path / "page.md"
+    path.write_text("# A *b* c\n\n[here](#a-b-c), [there](https://sutura.invalid), [page](page.md#a-b-c)\n")
+    check_links(path)
+    for wrong in ("other.md", "#a-b", "page.md#d"):
+        path.write_text(f"# A b c\n\n[x]({wrong})\n")
+        with pytest.raises(DocumentError):
+            check_links(path)
+
+
+def test_every_problem_is_explained() -> None:
+    table = (ROOT / "src/transport/problem.rs").read_text()
+    kinds = re.findall(r"\((\d{3}), \"([a-z-]+)\", \"", table)
+    assert len(kinds) > 25
+    explained = (ROOT / "docs/operations.md").read_text()
+    assert [kind for kind in kinds if f"| {kind[0]} | `{kind[1]}` |" not in explained] == []
