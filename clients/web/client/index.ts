@@ -14,6 +14,10 @@
  */
 
 export type { DType, Elements, ElementsOf, NdArray } from './array.js'
+export { Arrays } from './arrays.js'
+export type { ArrayOptions, Evaluator, Generation, GenerationArray, Stitches } from './arrays.js'
+export { BusClient, BusSession, BusStream } from './bus.js'
+export type { ZenohReply, ZenohSession, ZenohSubscriber } from './bus.js'
 export type { BlockName, Combination } from './combination.js'
 export type { SessionEvent } from './events.js'
 export { decodeFrame, FRAME_MEDIA_TYPE } from './frame.js'
@@ -26,23 +30,18 @@ export type { Problem } from './problem.js'
 export type { components, paths } from './schema.js'
 export { Session } from './session.js'
 export type {
-  ArrayOptions,
   Edit,
   EditReply,
   EditRequest,
   Evaluation,
-  Evaluator,
   Force,
-  Generation,
-  GenerationArray,
   Grab,
   SimulationConfig,
   SimulationInfo,
-  Stitches,
 } from './session.js'
 export { decodeState } from './state.js'
 export type { StateFrame } from './state.js'
-export { StateStream } from './states.js'
+export { Arrivals, StateStream } from './states.js'
 export type { Socket, SocketConstructor } from './states.js'
 export { boundaryTriangles, coincidentPairs } from './surface.js'
 export { combine, Tracker } from './tracker.js'

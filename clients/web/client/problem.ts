@@ -35,6 +35,19 @@ export class ProblemError extends Error {
       Number.isFinite(retryAfter) ? retryAfter : undefined,
     )
   }
+
+  /** The problem that a text carries, of an answer that came some other way than by HTTP. */
+  static parse(text: string): ProblemError {
+    let document: unknown
+    try {
+      document = JSON.parse(text)
+    } catch {
+      document = undefined
+    }
+    if (isProblem(document)) return new ProblemError(document)
+    const detail = text.slice(0, 200) || 'no explanation was given'
+    return new ProblemError({ type: 'about:blank', title: 'Unexpected answer', status: 500, detail })
+  }
 }
 
 /** Bytes from the daemon that cannot be read. */

@@ -1,54 +1,31 @@
-/** Published states over a WebSocket. */
+/** Published states, as they arrive. */
 
 import { decodeState } from './state.js'
 import type { StateFrame } from './state.js'
 
-/** States that wait for a reader that is too slow; beyond, the oldest are dropped. */
+/** Values that wait for a reader that is too slow; beyond, the oldest are dropped. */
 const MAX_WAITING = 64
 
-/** The part of a WebSocket that is used here: that of browsers, and of Node from version 22 on. */
-export interface Socket {
-  binaryType: string
-  close(): void
-  addEventListener(type: 'message', listener: (event: { data: unknown }) => void): void
-  addEventListener(type: 'error' | 'close', listener: () => void): void
-}
-
-/** Makes a WebSocket. */
-export type SocketConstructor = new (url: string) => Socket
-
-/** States as they arrive: an asynchronous iterable that ends with the connection. */
-export class StateStream implements AsyncIterable<StateFrame> {
-  readonly #socket: Socket
-  readonly #waiting: StateFrame[] = []
+/** Values as they arrive: an asynchronous iterable that ends with their source. */
+export class Arrivals<T> implements AsyncIterable<T> {
+  readonly #waiting: T[] = []
   #wake: (() => void) | undefined
   #ended = false
   #error: Error | undefined
-  /** States dropped here because nobody took them in time. */
+  /** Values dropped here because nobody took them in time. */
   nDropped = 0
 
-  constructor(url: string, Constructor: SocketConstructor) {
-    this.#socket = new Constructor(url)
-    this.#socket.binaryType = 'arraybuffer'
-    this.#socket.addEventListener('message', ({ data }) => {
-      if (data instanceof ArrayBuffer) this.#receive(data)
-    })
-    this.#socket.addEventListener('error', () => this.#end(new Error(`no stream from ${url.split('?')[0]}`)))
-    this.#socket.addEventListener('close', () => this.#end())
-  }
-
-  /** Ends the stream; states that wait are still delivered. */
+  /** Ends it; values that wait are still delivered. */
   close(): void {
-    this.#socket.close()
-    this.#end()
+    this.end()
   }
 
-  async *[Symbol.asyncIterator](): AsyncGenerator<StateFrame, void, undefined> {
+  async *[Symbol.asyncIterator](): AsyncGenerator<T, void, undefined> {
     try {
       for (;;) {
-        const state = this.#waiting.shift()
-        if (state !== undefined) {
-          yield state
+        const value = this.#waiting.shift()
+        if (value !== undefined) {
+          yield value
         } else if (this.#ended) {
           if (this.#error) throw this.#error
           return
@@ -61,13 +38,14 @@ export class StateStream implements AsyncIterable<StateFrame> {
     }
   }
 
-  #receive(bytes: ArrayBuffer): void {
+  /** Takes in what `decode` makes; ends with its error if it throws one. */
+  protected receive(decode: () => T): void {
     if (this.#ended) return
     try {
-      this.#waiting.push(decodeState(bytes))
+      this.#waiting.push(decode())
     } catch (error) {
-      this.#end(error as Error)
-      this.#socket.close()
+      this.end(error as Error)
+      this.close()
       return
     }
     if (this.#waiting.length > MAX_WAITING) {
@@ -77,9 +55,42 @@ export class StateStream implements AsyncIterable<StateFrame> {
     this.#wake?.()
   }
 
-  #end(error?: Error): void {
+  /** Says that no more will come. */
+  protected end(error?: Error): void {
     if (!this.#ended) this.#error = error
     this.#ended = true
     this.#wake?.()
+  }
+}
+
+/** The part of a WebSocket that is used here: that of browsers, and of Node from version 22 on. */
+export interface Socket {
+  binaryType: string
+  close(): void
+  addEventListener(type: 'message', listener: (event: { data: unknown }) => void): void
+  addEventListener(type: 'error' | 'close', listener: () => void): void
+}
+
+/** Makes a WebSocket. */
+export type SocketConstructor = new (url: string) => Socket
+
+/** Published states over a WebSocket. */
+export class StateStream extends Arrivals<StateFrame> {
+  readonly #socket: Socket
+
+  constructor(url: string, Constructor: SocketConstructor) {
+    super()
+    this.#socket = new Constructor(url)
+    this.#socket.binaryType = 'arraybuffer'
+    this.#socket.addEventListener('message', ({ data }) => {
+      if (data instanceof ArrayBuffer) this.receive(() => decodeState(data))
+    })
+    this.#socket.addEventListener('error', () => this.end(new Error(`no stream from ${url.split('?')[0]}`)))
+    this.#socket.addEventListener('close', () => this.end())
+  }
+
+  override close(): void {
+    this.#socket.close()
+    this.end()
   }
 }

@@ -1,8 +1,8 @@
 /** Keeping the basis in step with the generations of a state stream. */
 
+import type { Arrays, Generation } from './arrays.js'
 import type { BlockName, Combination } from './combination.js'
 import { ProblemError } from './problem.js'
-import type { Generation, Session } from './session.js'
 import type { StateFrame } from './state.js'
 
 /** Most bytes of columns held, unless the user says otherwise. */
@@ -45,13 +45,13 @@ export class Tracker {
   #following: Promise<void> = Promise.resolve()
 
   private constructor(
-    readonly session: Session,
+    readonly session: Arrays,
     private readonly options: TrackerOptions,
   ) {}
 
   /** Fetches the basis of `generation`. */
   static async open(
-    session: Session,
+    session: Arrays,
     options: TrackerOptions = {},
     generation: Generation = 'current',
   ): Promise<Tracker> {

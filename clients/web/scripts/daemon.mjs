@@ -20,17 +20,21 @@ export async function startDaemon() {
   const stdio = ['ignore', 'pipe', 'inherit']
   const child = spawn(EXECUTABLE, flags, { cwd: scratch, stdio })
   const ended = new Promise((resolve) => child.once('exit', resolve))
-  const address = await new Promise((resolve, reject) => {
+  const served = {}
+  await new Promise((resolve, reject) => {
     child.once('error', (error) => reject(new Error(`${EXECUTABLE} cannot be run: ${error.message}`)))
     child.once('exit', (code) => reject(new Error(`the daemon ended with ${code}`)))
     createInterface(child.stdout).on('line', (line) => {
-      const found = line.split(/\s+/).find((word) => word.startsWith('http://'))
-      if (found) resolve(found.replace(/\/$/, ''))
+      const [name, address] = line.split(' ')
+      if (address) served[name] = address.replace(/\/$/, '')
+      if (served.http && served.zenoh) resolve()
     })
   })
   return {
     /** Such as `http://127.0.0.1:8080`. */
-    address,
+    address: served.http,
+    /** Such as `tcp/127.0.0.1:7447`. */
+    zenoh: served.zenoh,
     async stop() {
       child.kill('SIGKILL')
       await ended
