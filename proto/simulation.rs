@@ -27,6 +27,10 @@ pub struct SimulationConfig {
     pub integrator: IntegratorConfig,
     /// Gravity in m/s². Default: (0, −9.81, 0).
     pub gravity_m_s2: [f64; 3],
+    /// Relative error of the deformation that a step may add, by estimate: steps with more of it are split, into 64 parts
+    /// at most. Between 0 and 1 (1e-3 resolves a motion in some 60 steps a period). Default: none, steps are split
+    /// only where they cannot be solved.
+    pub substep_tolerance: Option<f64>,
     /// What the body cannot enter. Default: nothing.
     pub obstacles: Vec<Obstacle>,
     /// How obstacles push back.
@@ -41,6 +45,7 @@ impl Default for SimulationConfig {
             dt_s: 0.01,
             integrator: IntegratorConfig::default(),
             gravity_m_s2: [0.0, -9.81, 0.0],
+            substep_tolerance: None,
             obstacles: Vec::new(),
             contact: ContactConfig::default(),
             publish_hz: 60.0,
@@ -124,6 +129,11 @@ impl SimulationConfig {
         within("/publish_hz", self.publish_hz, 1e-3, MAX_PUBLISH_HZ)?;
         for (axis, g) in self.gravity_m_s2.iter().enumerate() {
             within(&format!("/gravity_m_s2/{axis}"), *g, -1e6, 1e6)?;
+        }
+        if let Some(tolerance) = self.substep_tolerance
+            && !(tolerance > 0.0 && tolerance < 1.0)
+        {
+            return Err(Invalid::new("/substep_tolerance", "must lie between 0 and 1"));
         }
         if self.obstacles.len() > MAX_OBSTACLES {
             return Err(Invalid::new("/obstacles", format!("at most {MAX_OBSTACLES}")));

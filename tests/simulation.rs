@@ -258,6 +258,7 @@ async fn a_client_evaluates_and_steps_the_model_as_the_daemon_does() {
         dt_s: 0.002,
         integrator: Integrator::ImplicitNewmark,
         gravity_m_s2: [0.0, -9.81, 0.0],
+        substep_tolerance: None,
     };
     let mut ours = Simulation::new(model.clone(), params).unwrap();
     let rest = vec![0.0; model.r()];

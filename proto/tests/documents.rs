@@ -300,6 +300,10 @@ fn simulations_and_forces_are_checked() {
         pointer(SimulationConfig { publish_hz: 1e9, ..config.clone() }.validate()),
         "/publish_hz"
     );
+    for given in [0.0, 1.0, f64::NAN] {
+        let bad = SimulationConfig { substep_tolerance: Some(given), ..config.clone() };
+        assert_eq!(pointer(bad.validate()), "/substep_tolerance");
+    }
     let gravity_m_s2 = [0.0, f64::NAN, 0.0];
     assert_eq!(pointer(SimulationConfig { gravity_m_s2, ..config }.validate()), "/gravity_m_s2/1");
 

@@ -9,7 +9,6 @@ mod doctor;
 mod export;
 mod keys;
 mod logging;
-mod picture;
 mod prepare;
 mod signals;
 

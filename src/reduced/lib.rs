@@ -17,6 +17,7 @@ mod model;
 mod simulation;
 mod statics;
 mod step;
+mod substeps;
 
 pub use frame::{Frame, FreeBody};
 pub use interaction::{Grab, VertexRows};

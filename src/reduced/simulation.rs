@@ -8,6 +8,7 @@ use crate::frame::{Frame, FreeBody, Motion, inertial_load};
 use crate::interaction::{Grab, Interactions, Placement, VertexRows};
 use crate::modal::Oscillators;
 use crate::step::{RigidPart, Scheme, State, Step, Stepped};
+use crate::substeps::Division;
 use faer::Mat;
 use nalgebra::Vector3;
 use std::sync::Arc;
@@ -35,6 +36,9 @@ pub struct SimulationParams {
     pub integrator: Integrator,
     /// Gravity in m/s².
     pub gravity_m_s2: [f64; 3],
+    /// Relative error of the deformation that a step may add, by estimate: steps with more of it are split (where
+    /// 1/64 of a step is not enough, no further). Between 0 and 1; `None` takes every step whole that can be solved.
+    pub substep_tolerance: Option<f64>,
 }
 
 /// What surrounds the body.
@@ -51,7 +55,7 @@ pub struct Environment {
 pub struct StepReport {
     /// Newton iterations over all substeps.
     pub n_newton: u32,
-    /// Substeps the step was split into (1 when all went well).
+    /// Substeps the step was split into.
     pub n_substeps: u32,
     /// No substep size worked: the step was undone and the body brought to rest where it was.
     pub recovered: bool,
@@ -65,6 +69,8 @@ pub enum SimulationError {
     TimeStep(f64),
     #[error("gravity_m_s2 must be finite")]
     Gravity,
+    #[error("substep_tolerance must lie between 0 and 1, not {0}")]
+    SubstepTolerance(f64),
     #[error(
         "{n_rigid_modes} rigid motions are left, but not those of a whole body: fix vertices, or stitch every component to the others"
     )]
@@ -92,14 +98,21 @@ pub struct Simulation {
     surface: Option<Arc<ContactSurface>>,
     /// What grabs and obstacles pulled with at the end of the last step, in the world.
     interaction_force_n: [f64; 3],
+    /// Halvings that the last substep had, where errors are looked at.
+    halvings: u32,
 }
 
-/// What a substep ends with: deformation, motion of a free body, and the force of grabs and obstacles in
-/// the world.
-type Advanced = (State, Option<Motion>, Vector3<f64>);
-
-/// A step is halved at most so many times.
-const MOST_HALVINGS: u32 = 6;
+/// What a substep ends with.
+#[derive(Clone)]
+struct Advanced {
+    deformation: State,
+    /// Of a free body.
+    motion: Option<Motion>,
+    /// Of grabs and obstacles, in the world.
+    force_n: Vector3<f64>,
+    /// Estimate of the relative error that the substep added to the deformation.
+    error: f64,
+}
 
 /// Passes over a step of a free body: the first with the frame's motion before it, the second with the mean of
 /// before and after (or with what is after, for backward Euler).
@@ -125,6 +138,7 @@ impl Simulation {
             environment: None,
             surface: None,
             interaction_force_n: [0.0; 3],
+            halvings: 0,
         };
         simulation.prepare_oscillators()?;
         Ok(simulation)
@@ -138,21 +152,35 @@ impl Simulation {
         let mut report = StepReport::default();
         let is_finite = force.iter().chain(at_vertices.iter().flat_map(|(_, f)| f));
         if is_finite.into_iter().all(|x| x.is_finite()) {
-            for halvings in 0..=MOST_HALVINGS {
-                let substeps = 1u32 << halvings;
-                let dt = self.params.dt_s / f64::from(substeps);
-                let mut at: Advanced = (self.state.clone(), self.motion, Vector3::zeros());
-                report.n_substeps = substeps;
-                let done = (0..substeps).all(|_| {
-                    let next = self.advance(&at, force, at_vertices, dt, &mut report.n_newton);
-                    next.map(|next| at = next).is_some()
-                });
-                if done {
-                    let force_n;
-                    (self.state, self.motion, force_n) = at;
-                    self.interaction_force_n = force_n.into();
-                    return report;
+            let mut division = Division::begin(self.halvings);
+            let mut at = Advanced {
+                deformation: self.state.clone(),
+                motion: self.motion,
+                force_n: Vector3::zeros(),
+                error: 0.0,
+            };
+            while let Some(share) = division.next() {
+                let dt = self.params.dt_s * share;
+                let next = self.advance(&at, force, at_vertices, dt, &mut report.n_newton);
+                let error = match (&next, self.params.substep_tolerance) {
+                    (None, _) => None,
+                    (Some(_), None) => Some(0.0),
+                    (Some(next), Some(tolerance)) => Some(next.error / tolerance),
+                };
+                if division.accepts(error)
+                    && let Some(next) = next
+                {
+                    at = next;
+                    report.n_substeps += 1;
                 }
+            }
+            if !division.has_failed() {
+                self.halvings =
+                    if self.params.substep_tolerance.is_some() { division.halvings() } else { 0 };
+                self.state = at.deformation;
+                self.motion = at.motion;
+                self.interaction_force_n = at.force_n.into();
+                return report;
             }
         }
         report.recovered = true;
@@ -183,14 +211,19 @@ impl Simulation {
         dt: f64,
         n_newton: &mut u32,
     ) -> Option<Advanced> {
-        let (state, motion, _) = start;
-        let Some((motion, body)) = motion.as_ref().zip(self.model.free_body()) else {
+        let state = &start.deformation;
+        let Some((motion, body)) = start.motion.as_ref().zip(self.model.free_body()) else {
             let placement = Placement::fixed();
             let mut load = self.model.gravity_load(self.params.gravity_m_s2);
             load.iter_mut().zip(force).for_each(|(load, f)| *load += f);
-            add_vertex_loads(&mut load, at_vertices, &placement);
+            add_vertex_loads(&mut load, at_vertices, &placement, 1.0);
             let next = self.solve(state, &load, placement, None, dt, n_newton)?;
-            return Some((next.state, None, next.total[0]));
+            return Some(Advanced {
+                deformation: next.state,
+                motion: None,
+                force_n: next.total[0],
+                error: next.error,
+            });
         };
         let omega = motion.angular_velocity(body, &state.q, &state.velocity)?;
         let mut pass = Pass {
@@ -203,7 +236,8 @@ impl Simulation {
         let mut found = None;
         for _ in 0..FRAME_PASSES {
             let load = Load { force, at_vertices };
-            let (next, moved, pull) = self.pass(state, motion, body, &pass, load, dt, n_newton)?;
+            let (next, moved, pull, error) =
+                self.pass(state, motion, body, &pass, load, dt, n_newton)?;
             let after = moved.angular_velocity(body, &next.q, &next.velocity)?;
             // What the frame moves with: the mean over the step, or what it has at its end.
             let is_mean = self.params.integrator != Integrator::BackwardEuler;
@@ -219,13 +253,18 @@ impl Simulation {
                 pull,
             };
             let angular_acceleration = pass.angular_acceleration;
-            found = Some((next, Some(Motion { angular_acceleration, ..moved }), pull[0]));
+            found = Some(Advanced {
+                deformation: next,
+                motion: Some(Motion { angular_acceleration, ..moved }),
+                force_n: pull[0],
+                error,
+            });
         }
         found
     }
 
     /// A substep of a free body, its frame being expected to move as `pass` says; the motion that it comes to, and
-    /// what pulls at it (force and torque in the world).
+    /// what pulls at it (force and torque in the world), with the estimate of the deformation's error.
     #[allow(clippy::too_many_arguments)] // one call, from `advance`
     fn pass(
         &self,
@@ -236,7 +275,7 @@ impl Simulation {
         load: Load<'_>,
         dt: f64,
         n_newton: &mut u32,
-    ) -> Option<(State, Motion, [Vector3<f64>; 2])> {
+    ) -> Option<(State, Motion, [Vector3<f64>; 2], f64)> {
         let scheme = self.scheme().unwrap_or(Scheme::Newmark);
         let [rate, _] = scheme.rates(dt);
         let place = |q: &[f64], vertex: &VertexRows| {
@@ -265,7 +304,15 @@ impl Simulation {
         );
         let mut reduced: Vec<f64> = inertial.iter().map(|inertial| -inertial).collect();
         reduced.iter_mut().zip(load.force).for_each(|(load, f)| *load += f);
-        add_vertex_loads(&mut reduced, load.at_vertices, &placement);
+        // What forces at vertices do over the step: the mean of its ends, or what they do at its end.
+        let before = Placement { frame: motion.frame, ..placement };
+        let ends = match self.params.integrator {
+            Integrator::BackwardEuler => [placement, placement],
+            _ => [before, placement],
+        };
+        for end in &ends {
+            add_vertex_loads(&mut reduced, load.at_vertices, end, 0.5);
+        }
         let rigid = RigidPart {
             mass_kg: body.mass_kg(),
             inertia: body.inertia(&pass.q),
@@ -274,17 +321,25 @@ impl Simulation {
         let next = self.solve(state, &reduced, placement, Some(rigid), dt, n_newton)?;
 
         let frame = next.placement.frame;
-        let mut torque = next.total[1];
-        for (vertex, f) in load.at_vertices {
-            let f = next.placement.turned(*f);
-            torque += place(&next.state.q, vertex).cross(&f);
-        }
+        let q_before = if self.params.integrator == Integrator::BackwardEuler {
+            &next.state.q
+        } else {
+            &state.q
+        };
         let pull = next.total.map(|total| frame.rotation * total);
+        let mut torque = pull[1];
+        for (vertex, f) in load.at_vertices {
+            for (rotation, q) in
+                [(ends[0].frame.rotation, q_before), (frame.rotation, &next.state.q)]
+            {
+                torque += (rotation * place(q, vertex)).cross(&Vector3::from(*f)) * 0.5;
+            }
+        }
         let momentum = motion.momentum + (pull[0] + given + gravity) * dt;
-        let angular_momentum = motion.angular_momentum + frame.rotation * torque * dt;
+        let angular_momentum = motion.angular_momentum + torque * dt;
         let finite = momentum.iter().chain(&angular_momentum).all(|x| x.is_finite());
         let moved = Motion { frame, momentum, angular_momentum, ..*motion };
-        finite.then_some((next.state, moved, pull))
+        finite.then_some((next.state, moved, pull, next.error))
     }
 
     /// The scheme of implicit steps; none of exact oscillators.
@@ -320,8 +375,8 @@ impl Simulation {
             let [q, velocity] =
                 oscillators.advance(&self.model, &state.q, &state.velocity, &load, dt);
             let acceleration = vec![0.0; q.len()];
-            let state = State { q, velocity, acceleration };
-            return state.is_finite().then_some(Stepped { state, placement, total });
+            let state = State { q, velocity, acceleration, load };
+            return state.is_finite().then_some(Stepped { state, placement, total, error: 0.0 });
         };
         let step = Step {
             model: &self.model,
@@ -399,6 +454,7 @@ impl Simulation {
             q: carry(&self.state.q),
             velocity: carry(&self.state.velocity),
             acceleration: carry(&self.state.acceleration),
+            load: carry(&self.state.load),
         };
         self.motion = fresh.map(|fresh| self.motion.unwrap_or(fresh));
         self.damping = model.damping_matrix();
@@ -523,13 +579,15 @@ struct Load<'a> {
     at_vertices: &'a [(&'a VertexRows, [f64; 3])],
 }
 
+/// Adds `share` of what forces in N in the world do at vertices of the placed body.
 fn add_vertex_loads(
     load: &mut [f64],
     at_vertices: &[(&VertexRows, [f64; 3])],
     placement: &Placement,
+    share: f64,
 ) {
     for (vertex, f) in at_vertices {
-        let f = placement.turned(*f);
+        let f = placement.turned(*f) * share;
         for (load, row) in load.iter_mut().zip(&vertex.rows) {
             *load += Vector3::from(*row).dot(&f);
         }
@@ -557,6 +615,12 @@ fn check_params(params: &SimulationParams) -> Result<(), SimulationError> {
     }
     if params.gravity_m_s2.iter().any(|g| !g.is_finite()) {
         return Err(SimulationError::Gravity);
+    }
+    match params.substep_tolerance {
+        Some(tolerance) if !(tolerance > 0.0 && tolerance < 1.0) => {
+            return Err(SimulationError::SubstepTolerance(tolerance));
+        }
+        _ => {}
     }
     Ok(())
 }

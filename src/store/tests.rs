@@ -468,6 +468,7 @@ pub(crate) fn simulation() -> SimulationConfig {
             dt_s: 0.002,
             integrator: Integrator::ImplicitNewmark,
             gravity_m_s2: [0.0; 3],
+            substep_tolerance: None,
         },
         obstacles: Vec::new(),
         contact: ContactConfig {

@@ -446,6 +446,7 @@ fn simulation_pointer(error: &SimulationError) -> Option<String> {
     match error {
         SimulationError::TimeStep(_) => Some("/dt_s".to_owned()),
         SimulationError::Gravity => Some("/gravity_m_s2".to_owned()),
+        SimulationError::SubstepTolerance(_) => Some("/substep_tolerance".to_owned()),
         SimulationError::NoEquilibrium => Some("/integrator".to_owned()),
         _ => None,
     }

@@ -4,6 +4,7 @@
 mod accuracy;
 mod accuracy_report;
 mod bodies;
+mod chart;
 mod clock;
 mod cubature;
 mod edits;

@@ -2,42 +2,14 @@
 
 use crate::accuracy::Accuracies;
 use crate::bodies::Failure;
+use crate::chart::{Curve, chart};
 use crate::edits::Comparison;
 use crate::results::{BodyResults, Results};
 use crate::scaling::{Point, Scaling};
 use plotters::coord::combinators::BindKeyPoints;
-use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
 use plotters::prelude::*;
 use std::ops::Range;
 use std::path::Path;
-
-const SIZE: (u32, u32) = (860, 480);
-
-/// Width of the column of names on the right.
-const NAMES: u32 = 190;
-
-const COLOURS: [RGBColor; 6] = [
-    RGBColor(0, 114, 178),
-    RGBColor(213, 94, 0),
-    RGBColor(0, 158, 115),
-    RGBColor(204, 121, 167),
-    RGBColor(230, 159, 0),
-    RGBColor(86, 86, 86),
-];
-
-/// A named curve.
-struct Curve {
-    name: String,
-    points: Vec<(f64, f64)>,
-    /// Without marks: a line for the eye.
-    is_guide: bool,
-}
-
-impl Curve {
-    fn new(name: impl Into<String>, points: Vec<(f64, f64)>) -> Curve {
-        Curve { name: name.into(), points, is_guide: false }
-    }
-}
 
 /// Draws every picture into `directory` and returns their names.
 pub(crate) fn draw(results: &Results, directory: &Path) -> Result<Vec<String>, Failure> {
@@ -159,56 +131,4 @@ fn costs(scaling: &Scaling, path: &Path) -> Result<(), Failure> {
     let (x_ticks, y_ticks) = (ticks(&x, &[1.0, 2.0, 5.0]), ticks(&y, &[1.0]));
     let range = (x.log_scale().with_key_points(x_ticks), y.log_scale().with_key_points(y_ticks));
     chart(path, "Cubes: seconds against vertices", ["vertices", "s"], range, &curves)
-}
-
-fn chart<X, Y>(
-    path: &Path,
-    title: &str,
-    [x_label, y_label]: [&str; 2],
-    (x, y): (X, Y),
-    curves: &[Curve],
-) -> Result<(), Failure>
-where
-    X: AsRangedCoord<Value = f64>,
-    Y: AsRangedCoord<Value = f64>,
-    X::CoordDescType: ValueFormatter<f64>,
-    Y::CoordDescType: ValueFormatter<f64>,
-{
-    let failed = |error: &dyn std::fmt::Display| Failure::from(format!("{title}: {error}"));
-    let area = SVGBackend::new(path, SIZE).into_drawing_area();
-    area.fill(&WHITE).map_err(|e| failed(&e))?;
-    let (plot, names) = area.split_horizontally(SIZE.0 - NAMES);
-    let font = ("sans-serif", 16);
-    let mut chart = ChartBuilder::on(&plot)
-        .caption(title, ("sans-serif", 20))
-        .margin(12)
-        .x_label_area_size(44)
-        .y_label_area_size(60)
-        .build_cartesian_2d(x, y)
-        .map_err(|e| failed(&e))?;
-    chart
-        .configure_mesh()
-        .x_desc(x_label)
-        .y_desc(y_label)
-        .light_line_style(WHITE)
-        .label_style(font)
-        .draw()
-        .map_err(|e| failed(&e))?;
-    for (i, curve) in curves.iter().enumerate() {
-        let line = match curve.is_guide {
-            true => BLACK.mix(0.35).stroke_width(1),
-            false => COLOURS[i % COLOURS.len()].stroke_width(2),
-        };
-        let marks = if curve.is_guide { 0 } else { 3 };
-        let points = curve.points.iter().copied();
-        chart
-            .draw_series(LineSeries::new(points, line).point_size(marks))
-            .map_err(|e| failed(&e))?;
-        let y = 50 + 22 * i as i32;
-        names
-            .draw(&PathElement::new([(0, y), (16, y)], line))
-            .and_then(|()| names.draw(&Text::new(curve.name.clone(), (22, y - 6), font)))
-            .map_err(|e| failed(&e))?;
-    }
-    area.present().map_err(|e| failed(&e))
 }

@@ -124,6 +124,7 @@ fn stepping(n_steps: usize, law: Law, built: &Artifacts) -> Result<String, Failu
         dt_s: 1e-3,
         integrator: Integrator::ImplicitNewmark,
         gravity_m_s2: [0.0, -9.81, 0.0],
+        substep_tolerance: None,
     };
     let mut simulation = Simulation::new(built.model().clone(), params)?;
     let mut random = ChaCha8Rng::seed_from_u64(3);

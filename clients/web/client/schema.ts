@@ -4109,6 +4109,14 @@ export interface components {
              * @default 60
              */
             publish_hz?: number;
+            /**
+             * Format: double
+             * @description Relative error of the deformation that a step may add, by estimate: steps with more of it are split, into 64 parts
+             *     at most. Between 0 and 1 (1e-3 resolves a motion in some 60 steps a period). Default: none, steps are split
+             *     only where they cannot be solved.
+             * @default null
+             */
+            substep_tolerance?: number | null;
         };
         /** @description A running simulation. */
         SimulationInfo: {

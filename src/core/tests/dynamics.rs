@@ -19,8 +19,12 @@ fn body(damping: RayleighDamping) -> Artifacts {
 const UNDAMPED: RayleighDamping = RayleighDamping { mass_per_s: 0.0, stiffness_s: 0.0 };
 
 fn simulation(body: &Artifacts, dt_s: f64) -> Simulation {
-    let params =
-        SimulationParams { dt_s, integrator: Integrator::ImplicitNewmark, gravity_m_s2: [0.0; 3] };
+    let params = SimulationParams {
+        dt_s,
+        integrator: Integrator::ImplicitNewmark,
+        gravity_m_s2: [0.0; 3],
+        substep_tolerance: None,
+    };
     Simulation::new(body.model().clone(), params).unwrap()
 }
 
@@ -118,6 +122,7 @@ fn gravity_settles_on_the_static_solution() {
         dt_s: 0.02,
         integrator: Integrator::ImplicitNewmark,
         gravity_m_s2: [0.0, -3.0, 0.0],
+        substep_tolerance: None,
     };
     let mut simulation = Simulation::new(body.model().clone(), params).unwrap();
     let r = body.basis_size();
@@ -174,6 +179,7 @@ fn simulations_that_cannot_run_are_refused() {
         dt_s: 0.01,
         integrator: Integrator::ImplicitNewmark,
         gravity_m_s2: [0.0; 3],
+        substep_tolerance: None,
     };
     let error = Simulation::new(free.model().clone(), good).err();
     assert_eq!(error, Some(SimulationError::PartlyFree { n_rigid_modes: 6 }));
@@ -200,7 +206,8 @@ fn oscillators_are_exact_whatever_the_step_and_agree_with_newmark_for_small_moti
     let tip = body.full_model().free_vertices().last().copied().unwrap();
     let push = body.vertex_load(tip, [0.0, 1e-6, 5e-7]);
     let run = |integrator, dt_s: f64, n_steps: usize| {
-        let params = SimulationParams { dt_s, integrator, gravity_m_s2: [0.0; 3] };
+        let params =
+            SimulationParams { dt_s, integrator, gravity_m_s2: [0.0; 3], substep_tolerance: None };
         let mut simulation = Simulation::new(body.model().clone(), params).unwrap();
         (0..n_steps).for_each(|_| assert!(!simulation.step(&push, &[]).recovered));
         simulation.q().to_vec()
@@ -215,6 +222,10 @@ fn oscillators_are_exact_whatever_the_step_and_agree_with_newmark_for_small_moti
     let newmark = run(Integrator::ImplicitNewmark, 2e-4, 1500);
     // Average acceleration stretches periods by (ω dt)²/12, most that of the fastest modes.
     assert!(apart(&newmark, &at_once) < 2e-3, "{:e}", apart(&newmark, &at_once));
+    // Second order, though the load begins with the first step.
+    let newmark = |n: usize| apart(&run(Integrator::ImplicitNewmark, 0.3 / n as f64, n), &at_once);
+    let ratio = newmark(1500) / newmark(3000);
+    assert!((3.5..4.5).contains(&ratio), "{ratio}");
     // First order: half the step, half the error.
     let euler = |n: usize| apart(&run(Integrator::BackwardEuler, 0.3 / n as f64, n), &at_once);
     let ratio = euler(1500) / euler(3000);
@@ -225,8 +236,12 @@ fn oscillators_are_exact_whatever_the_step_and_agree_with_newmark_for_small_moti
 fn a_quasi_static_step_is_the_static_solution() {
     let body = body(UNDAMPED);
     let tip = body.full_model().free_vertices().last().copied().unwrap();
-    let params =
-        SimulationParams { dt_s: 0.1, integrator: Integrator::QuasiStatic, gravity_m_s2: [0.0; 3] };
+    let params = SimulationParams {
+        dt_s: 0.1,
+        integrator: Integrator::QuasiStatic,
+        gravity_m_s2: [0.0; 3],
+        substep_tolerance: None,
+    };
     let mut simulation = Simulation::new(body.model().clone(), params).unwrap();
     for force_n in [0.5, 2.0, -3.0, 0.0] {
         let load = body.vertex_load(tip, [0.0, force_n, 0.5 * force_n]);
@@ -234,5 +249,59 @@ fn a_quasi_static_step_is_the_static_solution() {
         let exact = body.model().solve_static(&load, &vec![0.0; load.len()]).unwrap();
         let gap: Vec<f64> = simulation.q().iter().zip(&exact).map(|(a, b)| a - b).collect();
         assert!(dot(&gap, &gap).sqrt() < 1e-7 * (1e-3 + dot(&exact, &exact).sqrt()), "{force_n}");
+    }
+}
+
+#[test]
+fn steps_are_split_where_their_error_asks_for_it() {
+    let body = body(RayleighDamping { mass_per_s: 1.0, stiffness_s: 2e-3 });
+    let tip = body.full_model().free_vertices().last().copied().unwrap();
+    let push = body.vertex_load(tip, [0.0, 1.5, 0.8]);
+    let rest = vec![0.0; push.len()];
+    let duration = 5.0 / body.frequencies_hz()[0];
+    // Pushed for the first half, then let go; where it is in the end, and the substeps of every step.
+    let run = |integrator, n_steps: usize, substep_tolerance| {
+        let params = SimulationParams {
+            dt_s: duration / n_steps as f64,
+            integrator,
+            gravity_m_s2: [0.0; 3],
+            substep_tolerance,
+        };
+        let mut simulation = Simulation::new(body.model().clone(), params).unwrap();
+        let n_substeps: Vec<u32> = (0..n_steps)
+            .map(|step| {
+                let load = if step < n_steps / 2 { &push } else { &rest };
+                let report = simulation.step(load, &[]);
+                assert!(!report.recovered);
+                report.n_substeps
+            })
+            .collect();
+        (simulation.q().to_vec(), n_substeps)
+    };
+    for integrator in [Integrator::ImplicitNewmark, Integrator::BackwardEuler] {
+        let exact = run(Integrator::ImplicitNewmark, 12_000, None).0;
+        let error = |tolerance| {
+            let (q, n_substeps) = run(integrator, 60, tolerance);
+            let gap: Vec<f64> = q.iter().zip(&exact).map(|(a, b)| a - b).collect();
+            (dot(&gap, &gap).sqrt() / dot(&exact, &exact).sqrt(), n_substeps)
+        };
+        let [(whole, ones), (coarse, _), (fine, n_substeps)] =
+            [None, Some(1e-2), Some(1e-4)].map(error);
+        assert!(ones.iter().all(|n| *n == 1));
+        assert!(fine < 0.3 * coarse && fine < 0.2 * whole, "{fine} {coarse} {whole}");
+        // The jump of the load takes more of them than the calm before it.
+        let most = n_substeps[30..33].iter().max().unwrap();
+        let calm = n_substeps[25..30].iter().min().unwrap();
+        assert!(most > calm && n_substeps.iter().all(|n| *n <= 64), "{n_substeps:?}");
+    }
+    for bad in [0.0, 1.0, -1e-3, f64::NAN] {
+        let params = SimulationParams {
+            dt_s: 0.01,
+            integrator: Integrator::ImplicitNewmark,
+            gravity_m_s2: [0.0; 3],
+            substep_tolerance: Some(bad),
+        };
+        let error = Simulation::new(body.model().clone(), params);
+        assert!(matches!(error, Err(SimulationError::SubstepTolerance(_))), "{bad}");
     }
 }

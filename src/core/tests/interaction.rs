@@ -30,7 +30,12 @@ fn body(is_held: bool, damping: RayleighDamping) -> Artifacts {
 }
 
 fn simulation(body: &Artifacts, integrator: Integrator, gravity: f64, dt_s: f64) -> Simulation {
-    let params = SimulationParams { dt_s, integrator, gravity_m_s2: [0.0, gravity, 0.0] };
+    let params = SimulationParams {
+        dt_s,
+        integrator,
+        gravity_m_s2: [0.0, gravity, 0.0],
+        substep_tolerance: None,
+    };
     Simulation::new(body.model().clone(), params).unwrap()
 }
 

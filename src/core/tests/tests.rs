@@ -19,5 +19,6 @@ mod references;
 mod refusals;
 mod seams;
 mod supports;
+mod trajectories;
 mod updates;
 mod vega;

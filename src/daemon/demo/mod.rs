@@ -19,7 +19,6 @@ pub(crate) use subscriber::{SubscriberArgs, run as watch};
 
 use crate::config::{Config, DataPath, ZenohEndpoint};
 use crate::daemon::Daemon;
-use crate::picture::{Album, Picture};
 use case::Case;
 use clap::Args;
 use console::Console;
@@ -35,6 +34,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use sutura_client::proto::edit::Edit;
 use sutura_client::{Arrays, Client, Generation, Session, ZenohClient};
+use sutura_picture::{Album, Picture};
 
 /// The hidden command that runs the watching process.
 pub(crate) const SUBSCRIBER_COMMAND: &str = "demo-subscriber";

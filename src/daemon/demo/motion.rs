@@ -40,6 +40,7 @@ pub(crate) fn simulation_config(lowest_hz: f64) -> SimulationConfig {
     SimulationConfig {
         dt_s,
         gravity_m_s2: [0.0; 3],
+        substep_tolerance: None,
         publish_hz: MAX_PUBLISH_HZ.min(1.0 / dt_s),
         ..SimulationConfig::default()
     }

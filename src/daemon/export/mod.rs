@@ -11,7 +11,6 @@ mod vtu;
 pub(crate) use error::ExportError;
 pub(crate) use motion::Recording;
 
-use crate::picture::{Album, Picture};
 use clap::ValueEnum;
 use glb::{Animation, Scene, Target};
 use serde::Serialize;
@@ -22,6 +21,7 @@ use std::path::{Path, PathBuf};
 use sutura_client::proto::array::{Array, Data};
 use sutura_client::proto::npy;
 use sutura_core::mesh::TetMesh;
+use sutura_picture::{Album, Picture};
 use vtu::Grid;
 
 /// What can be written.

@@ -526,6 +526,7 @@ pub(crate) struct SimulationRecord {
     contact_friction: f64,
     contact_creep_m_s: Option<f64>,
     publish_hz: f64,
+    substep_tolerance: Option<f64>,
 }
 
 #[derive(Clone, Serialize, Deserialize)]
@@ -572,7 +573,7 @@ impl ObstacleRecord {
 impl SimulationRecord {
     pub(crate) fn new(config: &SimulationConfig) -> SimulationRecord {
         let SimulationConfig { params, obstacles, contact, publish_hz } = config;
-        let SimulationParams { dt_s, integrator, gravity_m_s2 } = *params;
+        let SimulationParams { dt_s, integrator, gravity_m_s2, substep_tolerance } = *params;
         let ContactConfig { stiffness_pa_m, damping_s_m, friction, creep_m_s } = *contact;
         SimulationRecord {
             dt_s,
@@ -589,6 +590,7 @@ impl SimulationRecord {
             contact_friction: friction,
             contact_creep_m_s: creep_m_s,
             publish_hz: *publish_hz,
+            substep_tolerance,
         }
     }
 
@@ -599,9 +601,9 @@ impl SimulationRecord {
             IntegratorRecord::ModalOscillators => Integrator::ModalOscillators,
             IntegratorRecord::QuasiStatic => Integrator::QuasiStatic,
         };
-        let SimulationRecord { dt_s, gravity_m_s2, .. } = *self;
+        let SimulationRecord { dt_s, gravity_m_s2, substep_tolerance, .. } = *self;
         SimulationConfig {
-            params: SimulationParams { dt_s, integrator, gravity_m_s2 },
+            params: SimulationParams { dt_s, integrator, gravity_m_s2, substep_tolerance },
             obstacles: self.obstacles.iter().map(ObstacleRecord::obstacle).collect(),
             contact: ContactConfig {
                 stiffness_pa_m: self.contact_stiffness_pa_m,

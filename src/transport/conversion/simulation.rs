@@ -22,6 +22,7 @@ pub(crate) fn config(config: wire::SimulationConfig) -> Result<SimulationConfig,
                 wire::IntegratorConfig::QuasiStatic => Integrator::QuasiStatic,
             },
             gravity_m_s2: config.gravity_m_s2,
+            substep_tolerance: config.substep_tolerance,
         },
         obstacles: config.obstacles.iter().map(obstacle).collect(),
         contact: ContactConfig {
@@ -64,6 +65,7 @@ fn wire_config(config: &SimulationConfig) -> wire::SimulationConfig {
             Integrator::QuasiStatic => wire::IntegratorConfig::QuasiStatic,
         },
         gravity_m_s2: config.params.gravity_m_s2,
+        substep_tolerance: config.params.substep_tolerance,
         obstacles: config.obstacles.iter().map(wire_obstacle).collect(),
         contact: wire::ContactConfig {
             stiffness_pa_m: config.contact.stiffness_pa_m,
@@ -140,6 +142,7 @@ mod tests {
         let given = wire::SimulationConfig {
             dt_s: 0.02,
             gravity_m_s2: [1.0, 2.0, 3.0],
+            substep_tolerance: Some(1e-3),
             publish_hz: 25.0,
             integrator: wire::IntegratorConfig::BackwardEuler,
             obstacles: vec![

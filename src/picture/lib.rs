@@ -28,7 +28,7 @@ const BAR: [usize; 4] = [1130, 200, 26, 560];
 const N_TICKS: usize = 5;
 
 /// A body that is drawn several times, always from the same side and at the same scale.
-pub(crate) struct Album {
+pub struct Album {
     rest: Vec<Vector3<f64>>,
     surface: Surface,
     camera: Camera,
@@ -36,20 +36,20 @@ pub(crate) struct Album {
 }
 
 /// One picture of it.
-pub(crate) struct Picture<'a> {
+pub struct Picture<'a> {
     /// Above the body.
-    pub(crate) title: &'a str,
+    pub title: &'a str,
     /// Below the body.
-    pub(crate) caption: &'a str,
+    pub caption: &'a str,
     /// The displacement of every vertex in m, `n_vertices × 3`.
-    pub(crate) displacement: &'a [f32],
+    pub displacement: &'a [f32],
     /// Pairs joined by stitches, drawn as dots.
-    pub(crate) stitches: &'a [[u32; 2]],
+    pub stitches: &'a [[u32; 2]],
 }
 
 impl Album {
-    /// Looks at `focus` (vertices worth seeing) and makes room for every one of `displacements`.
-    pub(crate) fn new(
+    /// Of a body at `vertices` (in m). Looks at `focus` (vertices worth seeing) and makes room for every one of `displacements`.
+    pub fn new(
         vertices: &[[f64; 3]],
         tets: &[[u32; 4]],
         focus: &[[u32; 2]],
@@ -75,11 +75,7 @@ impl Album {
     }
 
     /// Draws one picture and writes it as PNG.
-    pub(crate) fn write(
-        &self,
-        picture: &Picture<'_>,
-        file: impl Write,
-    ) -> Result<(), png::EncodingError> {
+    pub fn write(&self, picture: &Picture<'_>, file: impl Write) -> Result<(), png::EncodingError> {
         let moved = deformed(&self.rest, picture.displacement);
         let normals = self.surface.corner_normals(&moved);
         let mut raster = Raster::new(WIDTH, HEIGHT, linear(BACKGROUND));

@@ -1,6 +1,6 @@
 //! A z-buffered rasteriser of shaded triangles.
 
-use super::camera::Camera;
+use crate::camera::Camera;
 use nalgebra::Vector3;
 
 /// A colour in linear light, 0 to 1 each.
