@@ -342,15 +342,15 @@ impl ReducedModel {
                     || g.map(|g| inner(g, q)),
                 );
                 let d = Mat3::from_fn(|i, j| d[3 * i + j]);
-                sums.energy_j += point.weight_m3 * point.elasticity.energy_density(&d);
-                let stress = point.elasticity.stress(&d) * point.weight_m3;
+                let (energy, stress, derivative) = point.elasticity.at(&d, with_stiffness);
+                sums.energy_j += point.weight_m3 * energy;
+                let stress = stress * point.weight_m3;
                 let stress: [f64; 9] = std::array::from_fn(|k| stress[(k / 3, k % 3)]);
                 vectorized(
                     #[inline(always)]
                     || combine(&mut sums.force, &g, &stress),
                 );
-                if with_stiffness {
-                    let mut c = point.elasticity.stress_derivative(&d);
+                if let Some(mut c) = derivative {
                     c.iter_mut().flatten().for_each(|c| *c *= point.weight_m3);
                     respond(&mut response, 9 * p, &g, &c);
                 }

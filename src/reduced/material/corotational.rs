@@ -68,26 +68,25 @@ fn perpendicular(x: &Vector3<f64>) -> Vector3<f64> {
     x.cross(&axis).normalize()
 }
 
-impl Hyperelastic for Corotational {
-    fn energy_density(&self, d: &Mat3) -> f64 {
+impl Corotational {
+    fn energy_density_of(&self, polar: &Polar) -> f64 {
         let [lame_lambda, lame_mu] = self.lame;
-        let stretches = Polar::new(d).stretches;
+        let Polar { stretches, .. } = polar;
         lame_mu * stretches.norm_squared() + 0.5 * lame_lambda * stretches.sum().powi(2)
     }
 
     /// P = 2μ(F − R) + λ tr(S − I) R.
-    fn stress(&self, d: &Mat3) -> Mat3 {
+    fn stress_of(&self, polar: &Polar) -> Mat3 {
         let [lame_lambda, lame_mu] = self.lame;
-        let polar = Polar::new(d);
         polar.strain * (2.0 * lame_mu) + polar.rotation * (lame_lambda * polar.stretches.sum())
     }
 
     /// dR = R \[w\]ₓ with (tr(S) I − S) w the axis of RᵀdF − dFᵀR, and d tr S = R : dF.
-    fn stress_derivative(&self, d: &Mat3) -> Mat9 {
+    fn stress_derivative_of(&self, polar: &Polar) -> Mat9 {
         let [lame_lambda, lame_mu] = self.lame;
-        let Polar { rotation, v, stretches, .. } = Polar::new(d);
+        let Polar { rotation, v, stretches, .. } = polar;
         let mut out = diagonal(2.0 * lame_mu);
-        add_dyad(&mut out, lame_lambda, &rotation, &rotation);
+        add_dyad(&mut out, lame_lambda, rotation, rotation);
         let turning = lame_lambda * stretches.sum() - 2.0 * lame_mu;
         // In the frame V the matrix is diagonal; along its axis k, R [v_k]ₓ is what the rotation
         // changes by, and twice the part of dF in it, over the two other stretches, how much.
@@ -98,6 +97,27 @@ impl Hyperelastic for Corotational {
             add_dyad(&mut out, turning / sum.max(LEAST_STRETCH), &direction, &direction);
         }
         out
+    }
+}
+
+impl Hyperelastic for Corotational {
+    fn energy_density(&self, d: &Mat3) -> f64 {
+        self.energy_density_of(&Polar::new(d))
+    }
+
+    fn stress(&self, d: &Mat3) -> Mat3 {
+        self.stress_of(&Polar::new(d))
+    }
+
+    fn stress_derivative(&self, d: &Mat3) -> Mat9 {
+        self.stress_derivative_of(&Polar::new(d))
+    }
+
+    /// One polar decomposition for all: it is most of the work.
+    fn at(&self, d: &Mat3, with_derivative: bool) -> (f64, Mat3, Option<Mat9>) {
+        let polar = Polar::new(d);
+        let derivative = with_derivative.then(|| self.stress_derivative_of(&polar));
+        (self.energy_density_of(&polar), self.stress_of(&polar), derivative)
     }
 
     /// S = √(I + 2E) = I + E − E²/2 + …

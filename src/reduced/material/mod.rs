@@ -44,6 +44,12 @@ pub trait Hyperelastic {
     /// ∂P/∂F in Pa.
     fn stress_derivative(&self, d: &Mat3) -> Mat9;
 
+    /// Energy density, stress and, if asked for, its derivative: one call where they have work in common.
+    fn at(&self, d: &Mat3, with_derivative: bool) -> (f64, Mat3, Option<Mat9>) {
+        let derivative = with_derivative.then(|| self.stress_derivative(d));
+        (self.energy_density(d), self.stress(d), derivative)
+    }
+
     /// The first and second derivative of P at rest.
     fn at_rest(&self) -> AtRest;
 }
@@ -118,6 +124,9 @@ impl Hyperelastic for Elasticity {
     }
     fn stress_derivative(&self, d: &Mat3) -> Mat9 {
         self.with(|law| law.stress_derivative(d))
+    }
+    fn at(&self, d: &Mat3, with_derivative: bool) -> (f64, Mat3, Option<Mat9>) {
+        self.with(|law| law.at(d, with_derivative))
     }
     fn at_rest(&self) -> AtRest {
         self.with(|law| law.at_rest())

@@ -44,6 +44,18 @@ fn stress_is_the_derivative_of_energy() {
 }
 
 #[test]
+fn all_at_once_is_what_each_alone_is() {
+    for law in laws() {
+        for d in states() {
+            let (energy, stress, derivative) = law.at(&d, true);
+            assert_eq!((energy, stress), (law.energy_density(&d), law.stress(&d)), "{law:?}");
+            assert_eq!(derivative, Some(law.stress_derivative(&d)), "{law:?}");
+            assert_eq!(law.at(&d, false), (energy, stress, None), "{law:?}");
+        }
+    }
+}
+
+#[test]
 fn stress_derivative_is_the_derivative_of_stress() {
     for law in laws() {
         for d in states() {
