@@ -7,6 +7,7 @@
 //! | `basis` | [`BASIS`] | (r, n_vertices, 3) |
 //! | `positions` | [`POSITIONS`] | (n_vertices, 3) |
 //! | `mass` | [`MASS`] | (n_vertices) |
+//! | `frequencies_hz` | [`FREQUENCIES_HZ`] | (n_modes) |
 //! | `tets` | [`TETS`] (u32) | (n_tets, 4) |
 //! | `stitches` | [`STITCHES_PAIRS`] (u32) | (s, 2) |
 //! | | [`STITCHES_IDS`] (u32) | (s, 2) |
@@ -72,6 +73,8 @@ pub const BASIS: &str = "basis";
 pub const POSITIONS: &str = "positions";
 /// Lumped masses in kg.
 pub const MASS: &str = "mass";
+/// Frequencies of the elastic modes, ascending.
+pub const FREQUENCIES_HZ: &str = "frequencies_hz";
 /// The four corners of each tet (zero-based).
 pub const TETS: &str = "tets";
 /// The two vertices of each stitch in force (zero-based).

@@ -33,6 +33,8 @@ pub enum Resource {
     Evaluator,
     /// Queryable: lumped masses.
     Mass,
+    /// Queryable: frequencies of the elastic modes.
+    FrequenciesHz,
     /// Queryable: rest positions.
     Positions,
     /// Queryable: corners of the tets.
@@ -51,7 +53,7 @@ pub enum Resource {
 
 impl Resource {
     /// Every resource.
-    pub const ALL: [Resource; 18] = [
+    pub const ALL: [Resource; 19] = [
         Resource::Edits,
         Resource::Info,
         Resource::Seams,
@@ -63,6 +65,7 @@ impl Resource {
         Resource::Dictionary,
         Resource::Evaluator,
         Resource::Mass,
+        Resource::FrequenciesHz,
         Resource::Positions,
         Resource::Tets,
         Resource::Stitches,
@@ -86,6 +89,7 @@ impl Resource {
             Resource::Dictionary => "dictionary",
             Resource::Evaluator => "evaluator",
             Resource::Mass => "mass",
+            Resource::FrequenciesHz => "frequencies_hz",
             Resource::Positions => "positions",
             Resource::Tets => "tets",
             Resource::Stitches => "stitches",

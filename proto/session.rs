@@ -344,6 +344,8 @@ pub struct SessionInfo {
     pub progress: f64,
     /// The current generation.
     pub generation: u64,
+    /// The oldest generation that is still kept, while the body is in memory.
+    pub oldest_generation: Option<u64>,
     /// Vertices of the mesh.
     pub n_vertices: usize,
     /// Tets of the mesh.

@@ -5,7 +5,7 @@ use crate::daemon::{Daemon, PATIENCE};
 use serde_json::Value;
 use std::collections::BTreeSet;
 
-const ROUTES: [(&str, &[&str]); 28] = [
+const ROUTES: [(&str, &[&str]); 29] = [
     ("/", &["get"]),
     ("/healthz", &["get"]),
     ("/readyz", &["get"]),
@@ -25,6 +25,7 @@ const ROUTES: [(&str, &[&str]); 28] = [
     ("/v1/sessions/{id}/generations/{generation}/dictionary", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/evaluator", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/mass", &["get"]),
+    ("/v1/sessions/{id}/generations/{generation}/frequencies_hz", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/positions", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/tets", &["get"]),
     ("/v1/sessions/{id}/generations/{generation}/stitches", &["get"]),

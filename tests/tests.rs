@@ -3,6 +3,7 @@
 mod access;
 mod arrays;
 mod bodies;
+mod conformance;
 mod daemon;
 mod demo;
 mod durability;

@@ -131,6 +131,17 @@ pub trait Arrays: Sync {
         }
     }
 
+    /// Frequencies of the elastic modes in Hz, ascending.
+    fn frequencies_hz<T: Scalar>(
+        &self,
+        generation: Generation,
+    ) -> impl Future<Output = Result<Array<T>>> + Send {
+        async move {
+            let query = query::<T>(Resource::FrequenciesHz, generation, None);
+            take(&mut Frame::decode(&self.frame(query).await?)?, FREQUENCIES_HZ, [None])
+        }
+    }
+
     /// Rest position of every vertex in m, (n_vertices, 3). A closing moves them.
     fn positions<T: Scalar>(
         &self,

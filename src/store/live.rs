@@ -310,6 +310,7 @@ impl LiveSession {
             progress: inner.progress,
             size: self.size,
             generation_number: inner.number,
+            oldest_generation: inner.generations.keys().next().copied(),
             generation: inner.generations.values().next_back().cloned(),
             error: inner.error.clone(),
         }

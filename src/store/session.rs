@@ -195,6 +195,8 @@ pub struct SessionInfo {
     pub size: MeshSize,
     /// The number of the current generation, 0 before there is one.
     pub generation_number: u64,
+    /// The number of the oldest generation in memory.
+    pub oldest_generation: Option<u64>,
     /// The current generation, once there is one, while it is in memory.
     pub generation: Option<Arc<Generation>>,
     /// Why the state is `Failed`.

@@ -112,6 +112,15 @@ test('a stomach is uploaded, stitched, pulled at, compared and opened again', as
   await page.locator('#redo').click()
   await settled(page, 3)
   assert.deepEqual(await frequencies(page), closed)
+
+  // What was before outlives the page, and so does undo.
+  await page.reload()
+  await settled(page, 3)
+  assert.deepEqual(await frequencies(page), closed)
+  assert.deepEqual(await page.locator('#modes .before').allTextContents(), opened)
+  await page.locator('#undo').click()
+  await settled(page, 4)
+  assert.deepEqual(await frequencies(page), opened)
   assert.deepEqual(faults, [])
 })
 

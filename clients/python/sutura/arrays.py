@@ -230,6 +230,10 @@ class Arrays(ABC):
         """Lumped mass of every vertex in kg: (n_vertices,)."""
         return self.frame("mass", generation, dtype=dtype).take("mass", None)
 
+    def frequencies_hz(self, generation: Generation = "current", dtype: DType = "f64") -> FloatArray:
+        """(n_modes,): frequencies of the elastic modes in Hz, ascending."""
+        return self.frame("frequencies_hz", generation, dtype=dtype).take("frequencies_hz", None)
+
     def positions(self, generation: Generation = "current", dtype: DType = "f32") -> FloatArray:
         """Rest position of every vertex in m: (n_vertices, 3). A closing moves them."""
         return self.frame("positions", generation, dtype=dtype).take("positions", None, 3)

@@ -43,6 +43,7 @@ class SessionInfo(Document):
     stage: str | None
     progress: float
     generation: int
+    oldest_generation: int | None
     n_vertices: int
     n_tets: int
     n_domains: int

@@ -95,6 +95,12 @@ export abstract class Arrays {
     return this.#array('mass', generation, [null], options)
   }
 
+  /** Frequencies of the elastic modes in Hz, ascending (n_modes). */
+  async frequencies(generation: Generation = 'current', signal?: AbortSignal): Promise<Float64Array> {
+    const frame = await this.frame('frequencies_hz', generation, { dtype: 'f64', signal })
+    return take<'f64'>(frame, 'frequencies_hz', 'f64', [null]).data
+  }
+
   /** From the coordinates of the generation `from` to those of `generation` (r_new, r_old). */
   transfer<D extends DType = 'f32'>(
     generation: Generation,

@@ -252,12 +252,35 @@ export class App {
     const body = await Body.open(this.#client.session(id))
     if (signal.aborted) return
     this.frequencies.set(body.current.generation, this.info.value?.frequencies_hz ?? [])
+    await this.#recall(body, signal)
+    if (signal.aborted) return
     this.body.value = body
     this.generation.value = body.current.generation
     const hold = this.#holds.get(id)
     this.#holds.delete(id)
     if (hold) void this.edit([{ fix: { vertices: this.heldBy(hold) } }])
     else void this.#prefetch(body)
+  }
+
+  /** Learns what the daemon still has of earlier generations: what was before an edit, and what can be
+   * returned to, outlives the page. */
+  async #recall(body: Body, signal: AbortSignal): Promise<void> {
+    const { generation } = body.current
+    const oldest = (await body.session.info(signal)).oldest_generation ?? generation
+    const kept = Array.from({ length: Math.max(0, generation - oldest) }, (_, i) => oldest + i)
+    try {
+      await Promise.all(
+        kept.map(async (earlier) => {
+          this.frequencies.set(earlier, Array.from(await body.session.frequencies(earlier, signal)))
+        }),
+      )
+    } catch (error) {
+      // One was dropped meanwhile, for an edit that somebody made: there is nothing to return to then.
+      if (error instanceof ProblemError && error.status === 404) return
+      throw error
+    }
+    this.past = kept
+    this.history.value += 1
   }
 
   /** Shows `generation`; `isForeign` if nobody here asked for it. */

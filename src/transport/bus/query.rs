@@ -23,7 +23,7 @@ use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
 /// The resources that can be asked for.
-const RESOURCES: [Resource; 14] = [
+const RESOURCES: [Resource; 15] = [
     Resource::Edits,
     Resource::Info,
     Resource::Seams,
@@ -35,6 +35,7 @@ const RESOURCES: [Resource; 14] = [
     Resource::Dictionary,
     Resource::Evaluator,
     Resource::Mass,
+    Resource::FrequenciesHz,
     Resource::Positions,
     Resource::Tets,
     Resource::Stitches,
@@ -147,6 +148,7 @@ async fn answer(
         Resource::Dictionary => array(gateway, id, ArrayKind::Dictionary, query).await?,
         Resource::Evaluator => array(gateway, id, ArrayKind::Evaluator, query).await?,
         Resource::Mass => array(gateway, id, ArrayKind::Mass, query).await?,
+        Resource::FrequenciesHz => array(gateway, id, ArrayKind::FrequenciesHz, query).await?,
         Resource::Positions => array(gateway, id, ArrayKind::Positions, query).await?,
         Resource::Tets => array(gateway, id, ArrayKind::Tets, query).await?,
         Resource::Stitches => array(gateway, id, ArrayKind::Stitches, query).await?,

@@ -21,6 +21,7 @@ pub(crate) enum ArrayKind {
     Dictionary,
     Evaluator,
     Mass,
+    FrequenciesHz,
     Positions,
     Tets,
     Stitches,
@@ -110,6 +111,10 @@ fn assemble(
         }
         ArrayKind::Basis => vec![columns(names::BASIS, r, &|i| artifacts.basis_column(i))?],
         ArrayKind::Mass => vec![array(names::MASS, &[n_vertices], &artifacts.lumped_mass_kg())?],
+        ArrayKind::FrequenciesHz => {
+            let frequencies = artifacts.frequencies_hz();
+            vec![array(names::FREQUENCIES_HZ, &[frequencies.len()], &frequencies)?]
+        }
         ArrayKind::Positions => {
             let positions = artifacts.mesh().vertices().as_flattened();
             vec![array(names::POSITIONS, &[n_vertices, 3], positions)?]
@@ -325,6 +330,7 @@ mod tests {
             ArrayKind::Transfer,
             ArrayKind::Dictionary,
             ArrayKind::Mass,
+            ArrayKind::FrequenciesHz,
             ArrayKind::Positions,
             ArrayKind::Tets,
         ] {

@@ -216,6 +216,7 @@ pub(crate) fn info(info: &SessionInfo) -> wire::SessionInfo {
         stage: info.progress.map(|progress| progress.stage.name().to_owned()),
         progress: info.progress.map_or(1.0, |progress| progress.fraction),
         generation: info.generation_number,
+        oldest_generation: info.oldest_generation,
         n_vertices: size.n_vertices,
         n_tets: size.n_tets,
         n_domains: size.n_domains,

@@ -209,6 +209,12 @@ const ROUTES: &[Route] = &[
         SINGLE,
     ),
     array(
+        "/v1/sessions/{id}/generations/{generation}/frequencies_hz",
+        "Frequencies of the elastic modes in Hz, ascending: (n_modes,)",
+        &[DTYPE],
+        SINGLE,
+    ),
+    array(
         "/v1/sessions/{id}/generations/{generation}/positions",
         "Rest position of each vertex in m, which a closing moves: (n_vertices, 3)",
         &[DTYPE],

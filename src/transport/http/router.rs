@@ -40,6 +40,10 @@ fn api() -> Vec<(&'static str, MethodRouter<Gateway>)> {
         ),
         ("/v1/sessions/{id}/generations/{generation}/mass", generation::get(ArrayKind::Mass)),
         (
+            "/v1/sessions/{id}/generations/{generation}/frequencies_hz",
+            generation::get(ArrayKind::FrequenciesHz),
+        ),
+        (
             "/v1/sessions/{id}/generations/{generation}/positions",
             generation::get(ArrayKind::Positions),
         ),
