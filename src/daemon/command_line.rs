@@ -1,6 +1,7 @@
 //! The command line. Flags override environment variables, which override the file.
 
 use crate::client::export::ExportArgs;
+use crate::client::open::OpenArgs;
 use crate::client::{InfoArgs, StitchArgs, WatchArgs};
 use crate::config::{Config, ConfigError, DataPath, LogFormat, ZenohEndpoint};
 use crate::demo::{DemoArgs, SUBSCRIBER_COMMAND, SubscriberArgs};
@@ -20,12 +21,13 @@ Examples:
   sutura demo                                            the main job, on a bundled stomach
   sutura serve                                           a daemon on this machine alone
   sutura prepare liver.msh --config liver.json --out liver
+  sutura open liver.msh --config liver.json              a session of it, ready
   sutura info                                            its sessions
   sutura stitch SESSION --pair 17,4021 --stiffness 1e5
   sutura export SESSION --out film --record 2            two seconds of its motion
 
 Exit codes: 0 done, 2 bad input (the message names the file and the line, vertex or tet at fault), 1
-anything else. SUTURA_SERVER names the daemon that info, stitch, watch and export ask.";
+anything else. SUTURA_SERVER names the daemon that open, info, stitch, watch and export ask.";
 
 /// Keeps deformable bodies ready for interactive editing.
 #[derive(Debug, Parser)]
@@ -43,6 +45,8 @@ pub(crate) enum Command {
     Serve(ServeArgs),
     /// Make, list and revoke the keys that open a daemon.
     Key(KeyArgs),
+    /// Open a session of a running daemon on a mesh file, and wait until it is ready.
+    Open(OpenArgs),
     /// Show the sessions of a running daemon, or one of them.
     Info(InfoArgs),
     /// Stitch a body of a running daemon.

@@ -39,6 +39,7 @@ fn main() -> ExitCode {
     let result = match CommandLine::parse().command {
         Command::Serve(args) => block_on(serve(args)),
         Command::Key(args) => keys::run(args),
+        Command::Open(args) => block_on(async { Ok(client::open::run(args).await?) }),
         Command::Info(args) => block_on(async { Ok(client::info(args).await?) }),
         Command::Stitch(args) => block_on(async { Ok(client::stitch(args).await?) }),
         Command::Watch(args) => block_on(async { Ok(client::watch(args).await?) }),

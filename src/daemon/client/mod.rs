@@ -1,7 +1,8 @@
-//! `sutura info`, `stitch`, `watch` and `export`: a running daemon, asked from the command line. Each is a
+//! `sutura open`, `info`, `stitch`, `watch` and `export`: a running daemon, asked from the command line. Each is a
 //! thin client of HTTP; `--json` prints the daemon's own documents.
 
 pub(crate) mod export;
+pub(crate) mod open;
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -122,9 +123,9 @@ pub(crate) enum ClientError {
     /// The daemon refused, or could not be reached.
     #[error("{}", with_cause(.0))]
     Daemon(#[from] Error),
-    /// The file of pairs cannot be used.
+    /// A file that the user named cannot be used.
     #[error("{0}")]
-    Pairs(String),
+    File(String),
     /// The answer could not be printed.
     #[error("standard output: {0}")]
     Output(#[from] std::io::Error),
@@ -134,7 +135,7 @@ impl ClientError {
     /// Whether what the user gave is at fault.
     pub(crate) fn is_bad_input(&self) -> bool {
         match self {
-            ClientError::Pairs(_) => true,
+            ClientError::File(_) => true,
             ClientError::Daemon(Error::Address(_) | Error::SessionId(_)) => true,
             ClientError::Daemon(error) => {
                 error.status().is_some_and(|status| (400..500).contains(&status) && status != 429)
@@ -210,7 +211,7 @@ pub(crate) async fn watch(args: WatchArgs) -> Result<(), ClientError> {
 
 fn read_pairs(path: &Path) -> Result<Vec<[u32; 2]>, ClientError> {
     let at_fault =
-        |error: &dyn std::fmt::Display| ClientError::Pairs(format!("{}: {error}", path.display()));
+        |error: &dyn std::fmt::Display| ClientError::File(format!("{}: {error}", path.display()));
     let text = std::fs::read_to_string(path).map_err(|error| at_fault(&error))?;
     serde_json::from_str(&text).map_err(|error| at_fault(&error))
 }
