@@ -53,10 +53,8 @@ pub(crate) enum Figure {
 }
 
 impl Figure {
-    pub(crate) const ALL: [Figure; 5] =
-        [Figure::Locking, Figure::Cubature, Figure::RigidMotion, Figure::Collisions, Figure::Wound];
-
-    fn number(self) -> u32 {
+    /// In the paper.
+    pub(crate) fn number(self) -> u32 {
         match self {
             Figure::Locking => 1,
             Figure::Cubature => 4,

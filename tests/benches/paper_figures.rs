@@ -7,7 +7,7 @@ mod clock;
 mod figures;
 
 use bodies::{Body, Failure};
-use clap::Parser;
+use clap::{Parser, ValueEnum};
 use figures::{Figure, Scene};
 use std::io::Write;
 use std::path::PathBuf;
@@ -52,7 +52,7 @@ fn main() -> ExitCode {
 
 fn run(arguments: &Arguments) -> Result<(), Failure> {
     let figures = match arguments.figure.is_empty() {
-        true => Figure::ALL.to_vec(),
+        true => Figure::value_variants().to_vec(),
         false => arguments.figure.clone(),
     };
     let directory = arguments.meshes.clone().unwrap_or_else(bodies::default_directory);

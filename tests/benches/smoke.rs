@@ -8,6 +8,7 @@ mod chart;
 mod clock;
 mod cubature;
 mod edits;
+mod figures;
 mod kernels;
 mod loads;
 mod measure;
@@ -20,6 +21,7 @@ mod results;
 mod scaling;
 mod session;
 
+use figures::{Figure, Scene};
 use peers::{Eigsh, PeerBody, PeerSession, Peers, Solver, Target};
 use results::{Plan, Results};
 use std::collections::BTreeMap;
@@ -152,4 +154,39 @@ fn the_accuracy_of_a_rebuilt_basis_is_told() {
     assert!(!residuals[0].holds() && residuals[1].holds());
     let spoilt = accuracy::Accuracies::of(bodies);
     assert_eq!(spoilt.targets[0].is_met(), Some(false));
+}
+
+#[test]
+fn figures_show_what_they_are_about() {
+    let out = tempfile::tempdir().unwrap();
+    let made = |figure: Figure| -> serde_json::Value {
+        let body = bodies::Body::load(&bodies::default_directory(), figure.body(true)).unwrap();
+        let scene = Scene::new(figure, &body, 40, out.path());
+        assert!(figure.show(&scene).unwrap().contains(&body.name));
+        let number = figure.number();
+        let data = std::fs::read(out.path().join(format!("figure_{number}.json"))).unwrap();
+        serde_json::from_slice(&data).unwrap()
+    };
+    let reaches = |data: &serde_json::Value| -> Vec<f64> {
+        let all: Vec<Vec<f64>> =
+            serde_json::from_value(data["largest_displacement_m"].clone()).unwrap();
+        all.iter().map(|of_basis| of_basis.iter().copied().fold(0.0, f64::max)).collect()
+    };
+    // Kept, rebuilt, from scratch: the first locks, the second moves as the last does.
+    for figure in [Figure::Locking, Figure::RigidMotion] {
+        let [kept, rebuilt, scratch] = reaches(&made(figure))[..] else { panic!("three bases") };
+        assert!(kept < 0.5 * scratch, "{figure:?}: {kept} of {scratch}");
+        assert!((rebuilt / scratch - 1.0).abs() < 0.05, "{figure:?}: {rebuilt} of {scratch}");
+    }
+    // Obstacles let nothing in that would otherwise be there.
+    let collisions = made(Figure::Collisions);
+    let deepest = |name: &str| {
+        let depths: Vec<f64> = serde_json::from_value(collisions[name].clone()).unwrap();
+        depths.into_iter().fold(0.0, f64::max)
+    };
+    assert!(deepest("depth_m") < 0.3 * deepest("depth_without_m"));
+    let pictures = std::fs::read_dir(out.path()).unwrap().filter(|file| {
+        file.as_ref().unwrap().path().extension().is_some_and(|extension| extension == "png")
+    });
+    assert_eq!(pictures.count(), 9);
 }
