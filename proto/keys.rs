@@ -5,6 +5,9 @@ use std::fmt;
 /// Everything sutura says on Zenoh lies below this prefix.
 pub const PREFIX: &str = "sutura/v1";
 
+/// What only one tenant hears lies below `sutura/v1/tenants/{tenant}`.
+const TENANTS: &str = "tenants";
+
 /// Longest session or daemon identifier, in bytes.
 pub const MAX_ID_BYTES: usize = 64;
 
@@ -117,6 +120,19 @@ pub fn is_id(id: &str) -> bool {
 /// `sutura/v1/sessions/{id}/{resource}`; `None` if `id` is not an identifier.
 pub fn session(id: &str, resource: Resource) -> Option<String> {
     is_id(id).then(|| format!("{PREFIX}/sessions/{id}/{resource}"))
+}
+
+/// `sutura/v1/tenants/{tenant}/sessions/{id}/{resource}`: what is published of a tenant's session where
+/// keys are asked for. `None` if one of the two is no name.
+pub fn tenant_session(tenant: &str, id: &str, resource: Resource) -> Option<String> {
+    let of_tenant = of_tenant(tenant)?;
+    is_id(id).then(|| format!("{of_tenant}/sessions/{id}/{resource}"))
+}
+
+/// `sutura/v1/tenants/{tenant}`; `None` if `tenant` is no name: 1 to [`MAX_ID_BYTES`] ASCII letters, digits,
+/// `-`, `_` and `.`.
+pub fn of_tenant(tenant: &str) -> Option<String> {
+    is_id(&tenant.replace('.', "-")).then(|| format!("{PREFIX}/{TENANTS}/{tenant}"))
 }
 
 /// `sutura/v1/sessions/*/{resource}`: that resource of every session.

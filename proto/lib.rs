@@ -8,6 +8,7 @@
 //! * [`state`]: one published state of a running simulation.
 //! * [`bus`]: the documents that also travel as bincode over Zenoh.
 //! * [`keys`], [`media`], [`openapi`]: key expressions, media types, schemas.
+//! * [`login`]: joining Zenoh with a key.
 
 #[cfg(target_endian = "big")]
 compile_error!(
@@ -22,6 +23,7 @@ pub mod event;
 pub mod frame;
 pub mod generation;
 pub mod keys;
+pub mod login;
 pub mod media;
 pub mod npy;
 pub mod openapi;

@@ -36,6 +36,7 @@ pub struct SessionConfig {
     pub material: Option<MaterialConfig>,
     /// Materials of single domains, by label.
     #[serde(default)]
+    #[schema(value_type = BTreeMap<String, MaterialConfig>)] // names of members are text
     pub domain_materials: BTreeMap<i64, MaterialConfig>,
     /// How many times as stiff each tet is as the material of its domain; empty if all are alike.
     #[serde(default)]
@@ -336,6 +337,9 @@ pub struct SessionInfo {
     pub id: String,
     /// The name it was given.
     pub name: Option<String>,
+    /// Whose it is, where the daemon asks for keys: what is published of it over Zenoh lies below
+    /// `sutura/v1/tenants/{tenant}`.
+    pub tenant: Option<String>,
     /// What it is doing.
     pub state: SessionState,
     /// The stage of the build or rebuild in progress.
@@ -416,6 +420,7 @@ pub struct SeamReply {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SessionParameters {
     /// The material of each domain, by label.
+    #[schema(value_type = BTreeMap<String, MaterialConfig>)] // names of members are text
     pub domain_materials: BTreeMap<i64, MaterialConfig>,
     /// How many vertices are fixed.
     pub n_fixed_vertices: usize,

@@ -1,14 +1,17 @@
 //! Keys: who is let in, and what they see.
 
-use crate::bodies::{bar, config, ready_bar, seam, stitch};
-use crate::daemon::{Daemon, PATIENCE};
+use crate::bodies::{bar, config, ready_bar, seam, soften, stitch};
+use crate::daemon::{Daemon, PATIENCE, plain_http};
+use serde_json::json;
 use std::path::Path;
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
-use sutura_client::proto::edit::{Edit, EditRequest};
 use sutura_client::proto::evaluate::{Coordinates, EvaluateRequest};
+use sutura_client::proto::keys::{self, Resource};
+use sutura_client::proto::login::Login;
 use sutura_client::proto::session::SessionConfig;
-use sutura_client::{Client, Error, Generation};
+use sutura_client::proto::simulation::{Force, SimulationConfig};
+use sutura_client::{BusSession, Client, Credentials, Error, Generation, Session, ZenohClient};
 
 fn sutura(arguments: &[&str], folder: &Path) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_sutura"));
@@ -23,7 +26,7 @@ fn key(folder: &Path, tenant: &str, role: &str) -> String {
 }
 
 async fn client(daemon: &Daemon, key: &str) -> Client {
-    Client::connect_with_key(&daemon.http, Some(key)).await.unwrap()
+    Client::connect_as(&daemon.http, &Credentials::of_key(key)).await.unwrap()
 }
 
 fn status<T>(result: Result<T, Error>) -> Option<u16> {
@@ -70,19 +73,15 @@ async fn a_key_opens_its_tenant_s_sessions_by_its_role_and_no_others() {
     assert_eq!(mine.list(None, 10).await.unwrap().sessions.len(), 1);
 
     // So over Zenoh, where the key travels as the attachment.
-    let zenoh = daemon.zenoh_client().await;
-    assert_eq!(status(zenoh.session(session.id()).unwrap().info().await), Some(401));
-    let of = |key: &str| zenoh.clone().with_key(key).session(session.id()).unwrap();
-    assert_eq!(of(&editor).info().await.unwrap().generation, 1);
-    assert_eq!(status(of(&other).info().await), Some(404));
-    assert_eq!(status(of(&reader).edit(&stitch(&seam()[..1])).await), Some(403));
-    let mut heard = of(&other).generations().await.unwrap();
-    of(&editor).edit(&unstitched()).await.unwrap();
-    let nothing = tokio::time::timeout(Duration::from_millis(200), heard.next()).await;
-    assert!(nothing.is_err(), "a generation was published to whoever listens");
+    let of = async |key: &str| over_zenoh(&daemon, key).await.session(session.id()).unwrap();
+    let (zenoh_editor, zenoh_other) = (of(&editor).await, of(&other).await);
+    assert_eq!(zenoh_editor.info().await.unwrap().generation, 1);
+    assert_eq!(status(zenoh_other.info().await), Some(404));
+    assert_eq!(status(of(&reader).await.edit(&stitch(&seam()[..1])).await), Some(403));
+    only_its_tenant_hears_of_a_session(&daemon, &session, &zenoh_editor, &reader, &other).await;
 
     // Without a key, or with a wrong one, nobody gets beyond the door.
-    let http = reqwest::Client::new();
+    let http = plain_http();
     let get = |path: &str, key: Option<&str>| {
         let request = http.get(daemon.url(path));
         let request = key.map_or(request.try_clone().unwrap(), |key| request.bearer_auth(key));
@@ -117,6 +116,14 @@ async fn a_key_opens_its_tenant_s_sessions_by_its_role_and_no_others() {
         assert!(begun.elapsed() < PATIENCE, "the key still opens the daemon");
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
+    while ZenohClient::open_as(&daemon.zenoh, &Credentials::of_key(&*other)).await.is_ok() {
+        assert!(begun.elapsed() < PATIENCE, "the key still joins Zenoh");
+    }
+    // The others connect again by themselves.
+    while zenoh_editor.info().await.is_err() {
+        assert!(begun.elapsed() < PATIENCE, "a client of Zenoh did not come back");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
 
     // Whose a session is outlives the daemon.
     drop(daemon);
@@ -126,8 +133,75 @@ async fn a_key_opens_its_tenant_s_sessions_by_its_role_and_no_others() {
     assert_eq!(found.iter().map(|info| &*info.id).collect::<Vec<_>>(), [session.id()]);
 }
 
-fn unstitched() -> EditRequest {
-    EditRequest::new(vec![Edit::UnstitchAll {}])
+async fn over_zenoh(daemon: &Daemon, key: &str) -> ZenohClient {
+    ZenohClient::open_as(&daemon.zenoh, &Credentials::of_key(key)).await.unwrap()
+}
+
+/// A plain client of Zenoh with the credentials of a key, which does what clients of ours would not.
+async fn zenoh_session(daemon: &Daemon, key: &str) -> zenoh::Session {
+    let Login { user, password } = Login::of_key(key);
+    let mut config = zenoh::Config::default();
+    for (name, value) in [
+        ("mode", json!("client")),
+        ("connect/endpoints", json!([daemon.zenoh])),
+        ("scouting/multicast/enabled", json!(false)),
+        ("transport/auth/usrpwd", json!({"user": user, "password": password})),
+    ] {
+        config.insert_json5(name, &value.to_string()).unwrap();
+    }
+    zenoh::open(config).await.unwrap()
+}
+
+async fn only_its_tenant_hears_of_a_session(
+    daemon: &Daemon,
+    session: &Session,
+    editor: &BusSession,
+    reader: &str,
+    other: &str,
+) {
+    let mut generations = editor.generations().await.unwrap();
+    let reading = over_zenoh(daemon, reader).await.session(session.id()).unwrap();
+    let mut states = reading.states().await.unwrap();
+    // The other tenant listens wherever something could be said, and would answer others' questions.
+    let spy = zenoh_session(daemon, other).await;
+    let heard = [
+        "**".to_owned(),
+        format!("sutura/v1/sessions/{}/*", session.id()),
+        format!("sutura/v1/tenants/*/sessions/{}/state", session.id()),
+        "sutura/v1/tenants/a/**".to_owned(),
+    ];
+    let mut ears = Vec::new();
+    for key in heard {
+        ears.push(spy.declare_subscriber(key).await.unwrap());
+    }
+    let asked = spy.declare_queryable("sutura/v1/sessions/*/edits").await.unwrap();
+
+    session.simulate(&SimulationConfig::default()).await.unwrap();
+    editor.edit(&soften(0)).await.unwrap();
+    let patience = tokio::time::timeout(PATIENCE, generations.next());
+    assert_eq!(patience.await.unwrap().unwrap().generation, 2);
+    // By the time the third state has come, the spy would have heard of something.
+    for _ in 0..3 {
+        tokio::time::timeout(PATIENCE, states.next()).await.unwrap().unwrap();
+    }
+    editor.push_forces(&[Force { vertex: 0, force_n: [0.0; 3], duration_s: 0.1 }]).await.unwrap();
+    tokio::time::timeout(PATIENCE, states.next()).await.unwrap().unwrap();
+    for ear in &ears {
+        assert!(ear.try_recv().unwrap().is_none(), "{} was heard", ear.key_expr());
+    }
+    assert!(asked.try_recv().unwrap().is_none(), "a question with its key came by");
+    // Nor does it say anything in the daemon's name.
+    let state = keys::tenant_session("a", session.id(), Resource::State).unwrap();
+    spy.put(&state, vec![0; 8]).await.unwrap();
+    for _ in 0..3 {
+        // Whatever is no state would be an error here.
+        tokio::time::timeout(PATIENCE, states.next()).await.unwrap().unwrap();
+    }
+    session.stop_simulation().await.unwrap();
+    // Without a key, or with a wrong one, nobody joins.
+    for credentials in [Credentials::default(), Credentials::of_key("sutura_00")] {
+        assert!(ZenohClient::open_as(&daemon.zenoh, &credentials).await.is_err());
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

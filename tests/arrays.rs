@@ -1,7 +1,7 @@
 //! The arrays of a generation, checked against each other and against the evaluator.
 
 use crate::bodies::{STIFFNESS_N_M, TIP, bar, config, prepared, ready_bar, seam, stitch};
-use crate::daemon::Daemon;
+use crate::daemon::{Daemon, plain_http};
 use reqwest::header;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use sutura_client::proto::edit::{CubatureSource, Edit, EditMethod, EditRequest, Verdict};
@@ -232,7 +232,7 @@ async fn npy_and_frame_of_either_width_carry_the_same_numbers() {
     let narrow: Basis<f32> = session.basis(Generation::Current).await.unwrap();
     let fetch = async |query: &str| {
         let path = format!("/v1/sessions/{}/generations/current/basis{query}", session.id());
-        let request = reqwest::Client::new().get(daemon.url(&path));
+        let request = plain_http().get(daemon.url(&path));
         let reply = request.header(header::ACCEPT, media::NPY).send().await.unwrap();
         assert_eq!(reply.headers()[header::CONTENT_TYPE], media::NPY);
         reply.bytes().await.unwrap()

@@ -1,11 +1,11 @@
 //! A small body to operate on: a bar cut in two, one half held, to be stitched together.
 
 use std::time::{Duration, Instant};
-use sutura_client::Session;
 use sutura_client::proto::edit::{Edit, EditRequest};
 use sutura_client::proto::session::{
     BasisConfig, CubatureConfig, MaterialConfig, MeshConfig, SessionConfig,
 };
+use sutura_client::{Client, Session};
 
 use crate::daemon::Daemon;
 
@@ -103,8 +103,13 @@ pub(crate) fn config() -> SessionConfig {
 
 /// A session on the bar, ready.
 pub(crate) async fn ready_bar(daemon: &Daemon) -> Session {
+    ready_bar_of(&daemon.client().await).await
+}
+
+/// The same through a client.
+pub(crate) async fn ready_bar_of(client: &Client) -> Session {
     let config = SessionConfig { mesh: Some(bar()), ..config() };
-    let session = daemon.client().await.create(&config).await.unwrap();
+    let session = client.create(&config).await.unwrap();
     session.wait_ready(|_| {}).await.unwrap();
     session
 }
@@ -113,6 +118,12 @@ pub(crate) async fn ready_bar(daemon: &Daemon) -> Session {
 pub(crate) fn stitch(pairs: &[[u32; 2]]) -> EditRequest {
     let edit = Edit::Stitch { pairs: pairs.to_vec(), stiffness_n_m: STIFFNESS_N_M };
     EditRequest::new(vec![edit])
+}
+
+/// Makes one stitch half as stiff.
+pub(crate) fn soften(stitch_id: u64) -> EditRequest {
+    let stiffness_n_m = STIFFNESS_N_M / 2.0;
+    EditRequest::new(vec![Edit::SetStiffness { stitch_ids: vec![stitch_id], stiffness_n_m }])
 }
 
 /// The mesh as Gmsh 2.2 text.

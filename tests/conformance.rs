@@ -1,7 +1,7 @@
 //! The cases that every client is held to: `tests/data/conformance`.
 
 use crate::bodies::prepared;
-use crate::daemon::Daemon;
+use crate::daemon::{Daemon, plain_http};
 use reqwest::header::ACCEPT;
 use serde::Deserialize;
 use serde_json::Value;
@@ -105,7 +105,7 @@ async fn fetch(
 async fn npy(daemon: &Daemon, path: &str, dtype: &str, from: Option<u64>) -> Vec<u8> {
     let from = from.map(|from| format!("&from={from}")).unwrap_or_default();
     let query = if dtype == "u32" { String::new() } else { format!("?dtype={dtype}{from}") };
-    let request = reqwest::Client::new().get(daemon.url(&format!("{path}{query}")));
+    let request = plain_http().get(daemon.url(&format!("{path}{query}")));
     let reply = request.header(ACCEPT, media::NPY).send().await.unwrap();
     assert!(reply.status().is_success(), "{path}: {}", reply.status());
     reply.bytes().await.unwrap().to_vec()

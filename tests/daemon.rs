@@ -1,13 +1,26 @@
 //! A real daemon for one test: its own process, free ports, a scratch directory.
 
+use std::ffi::OsStr;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use sutura_client::{Client, ZenohClient};
 
 /// How long a daemon may take to go down, or to publish a state: far longer than it ever does.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A client of HTTP that takes what comes; it trusts nobody's certificate, and needs none.
+pub(crate) fn plain_http() -> reqwest::Client {
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let tls = rustls::ClientConfig::builder_with_provider(provider)
+        .with_safe_default_protocol_versions()
+        .unwrap()
+        .with_root_certificates(rustls::RootCertStore::empty())
+        .with_no_client_auth();
+    reqwest::Client::builder().tls_backend_preconfigured(tls).build().unwrap()
+}
 
 /// A running daemon; killed when dropped.
 pub(crate) struct Daemon {
@@ -31,22 +44,32 @@ impl Daemon {
 
     /// Starts one on a data directory.
     pub(crate) fn start_on(folder: &Path) -> Daemon {
-        let mut process = Command::new(env!("CARGO_BIN_EXE_sutura"))
+        Daemon::start_with(folder, &[])
+    }
+
+    /// Starts one on a data directory, with further arguments.
+    pub(crate) fn start_with(folder: &Path, arguments: &[&OsStr]) -> Daemon {
+        Daemon::start_as(Command::new(env!("CARGO_BIN_EXE_sutura")), folder, arguments)
+    }
+
+    /// Starts one by a command of one's own.
+    pub(crate) fn start_as(mut sutura: Command, folder: &Path, arguments: &[&OsStr]) -> Daemon {
+        let mut process = sutura
             .args(["serve", "--http", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0", "--log", "warn"])
             .arg("--data")
             .arg(folder)
+            .args(arguments)
             .stdout(Stdio::piped())
             .stderr(Stdio::inherit())
             .spawn()
             .unwrap();
         let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
-        let mut address = |prefix: &str| {
-            let found = lines.by_ref().map(Result::unwrap).find_map(|line| {
-                line.split_whitespace().find(|word| word.starts_with(prefix)).map(str::to_owned)
-            });
-            found.unwrap_or_else(|| panic!("the daemon named no {prefix} address"))
+        let mut address = |door: &str| {
+            let mut lines = lines.by_ref().map(Result::unwrap);
+            let found = lines.find_map(|line| line.strip_prefix(door).map(str::to_owned));
+            found.unwrap_or_else(|| panic!("the daemon named no address of {door}"))
         };
-        let (http, zenoh) = (address("http://"), address("tcp/"));
+        let (http, zenoh) = (address("http "), address("zenoh "));
         // What it goes on to print must not fill the pipe.
         std::thread::spawn(move || lines.for_each(drop));
         Daemon { process, scratch: None, http, zenoh }
@@ -73,10 +96,19 @@ impl Daemon {
         format!("{}{path}", self.http.trim_end_matches('/'))
     }
 
+    /// Asks it to read again what may have changed.
+    pub(crate) fn hang_up(&self) {
+        self.signal("-HUP");
+    }
+
+    fn signal(&self, name: &str) {
+        let pid = self.process.id().to_string();
+        assert!(Command::new("kill").args([name, &pid]).status().unwrap().success());
+    }
+
     /// Asks it to go down, and waits for its end.
     pub(crate) fn terminate(mut self) -> ExitStatus {
-        let pid = self.process.id().to_string();
-        assert!(Command::new("kill").args(["-TERM", &pid]).status().unwrap().success());
+        self.signal("-TERM");
         let begun = Instant::now();
         while begun.elapsed() < PATIENCE {
             if let Some(status) = self.process.try_wait().unwrap() {

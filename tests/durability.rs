@@ -1,7 +1,7 @@
 //! Daemons that are killed at any instant, and what the next one finds.
 
 use crate::bodies::{bar, config, seam, stitch};
-use crate::daemon::Daemon;
+use crate::daemon::{Daemon, plain_http};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
@@ -15,6 +15,9 @@ const KILLS: usize = 12;
 
 /// Longest life of a daemon before it is killed, its start not counted.
 const LONGEST_LIFE_MS: u64 = 700;
+
+/// Generations that a session keeps: so few that journals are compacted every few edits.
+const N_KEPT: u64 = 2;
 
 /// Sessions beyond which one is deleted for another.
 const MOST_SESSIONS: usize = 4;
@@ -72,7 +75,7 @@ struct Asker {
 
 impl Asker {
     fn new(daemon: &Daemon) -> Asker {
-        Asker { http: reqwest::Client::new(), base: daemon.url("/v1/sessions") }
+        Asker { http: plain_http(), base: daemon.url("/v1/sessions") }
     }
 
     /// The answer's text; `None` if the daemon is gone. Anything but success is a failure of the test.
@@ -259,7 +262,7 @@ async fn check(daemon: &Daemon, acknowledged: &Shared) {
         }
         for (generation, (size, before)) in &known.evaluations {
             // Of the kept ones.
-            if generation + 8 > number {
+            if generation + N_KEPT > number {
                 let now = asker.evaluate(&id, *generation, *size).await.unwrap();
                 assert!(now == *before, "{id}, generation {generation} differs");
             }
@@ -280,10 +283,14 @@ async fn check(daemon: &Daemon, acknowledged: &Shared) {
 async fn what_was_acknowledged_outlives_kill_9_at_any_instant() {
     let n_kills = std::env::var("SUTURA_KILLS").map_or(KILLS, |n| n.parse().unwrap());
     let folder = tempfile::tempdir().unwrap();
+    let settings = folder.path().join("sutura.toml");
+    std::fs::write(&settings, format!("[work]\nn_kept_generations = {N_KEPT}\n")).unwrap();
+    let data = folder.path().join("data");
+    let start = || Daemon::start_with(&data, &["--config".as_ref(), settings.as_ref()]);
     let acknowledged = Shared::default();
     let mut random = ChaCha8Rng::seed_from_u64(20);
     for round in 0..n_kills as u64 {
-        let daemon = Daemon::start_on(folder.path());
+        let daemon = start();
         let life = Duration::from_millis(random.random_range(0..LONGEST_LIFE_MS));
         // Every other one is killed while it still restores what it found.
         if round % 2 == 1 {
@@ -299,7 +306,7 @@ async fn what_was_acknowledged_outlives_kill_9_at_any_instant() {
         daemon.kill();
         work.await.unwrap();
     }
-    let daemon = Daemon::start_on(folder.path());
+    let daemon = start();
     check(&daemon, &acknowledged).await;
     assert!(daemon.terminate().success());
     let acknowledged = acknowledged.lock().unwrap();

@@ -1,7 +1,7 @@
 //! What the people who run the daemon rely on.
 
 use crate::bodies::{ready_bar, seam, stitch};
-use crate::daemon::{Daemon, PATIENCE};
+use crate::daemon::{Daemon, PATIENCE, plain_http};
 use serde_json::Value;
 use std::collections::BTreeSet;
 
@@ -38,7 +38,7 @@ const ROUTES: [(&str, &[&str]); 29] = [
 ];
 
 async fn get(daemon: &Daemon, path: &str) -> reqwest::Response {
-    reqwest::get(daemon.url(path)).await.unwrap()
+    plain_http().get(daemon.url(path)).send().await.unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread")]

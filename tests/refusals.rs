@@ -2,7 +2,7 @@
 //! the session is what it was.
 
 use crate::bodies::{TIP, bar, config, free_vertices, msh, prepared, ready_bar, seam, stitch};
-use crate::daemon::Daemon;
+use crate::daemon::{Daemon, plain_http};
 use reqwest::multipart::{Form, Part};
 use reqwest::{Method, RequestBuilder, Response, header};
 use serde_json::{Value, json};
@@ -46,7 +46,7 @@ impl Scene {
     }
 
     fn request(&self, method: Method, path: &str) -> RequestBuilder {
-        reqwest::Client::new().request(method, self.daemon.url(path))
+        plain_http().request(method, self.daemon.url(path))
     }
 
     fn path(&self, rest: &str) -> String {

@@ -250,3 +250,19 @@ fn files_have_one_subject_and_say_which() {
     }
     assert_none("long or vaguely named files", offenders);
 }
+
+#[test]
+fn unsafe_code_is_forbidden_in_every_crate() {
+    let root = std::fs::read_to_string(Path::new(ROOT).join("Cargo.toml")).unwrap();
+    assert!(root.contains("[workspace.lints.rust]\nunsafe_code = \"forbid\"\n"));
+    let metadata = run(&["metadata", "--format-version=1", "--locked", "--offline", "--no-deps"]);
+    let metadata: Value = serde_json::from_str(&metadata).unwrap();
+    let members = metadata["packages"].as_array().unwrap();
+    assert!(members.len() > 5);
+    let manifests = members.iter().map(|member| member["manifest_path"].as_str().unwrap());
+    let inherits = |path: &str| {
+        std::fs::read_to_string(path).unwrap().contains("\n[lints]\nworkspace = true\n")
+    };
+    let offenders = manifests.filter(|path| !inherits(path)).map(str::to_owned).collect();
+    assert_none("crates that do not inherit the workspace's lints", offenders);
+}

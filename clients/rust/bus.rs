@@ -1,6 +1,7 @@
 //! The daemon over Zenoh.
 
 use crate::arrays::{Arrays, Query};
+use crate::credentials::Credentials;
 use crate::error::{Error, Result};
 use crate::states::StateStream;
 use serde::Serialize;
@@ -11,6 +12,7 @@ use sutura_proto::edit::{EditReply, EditRequest};
 use sutura_proto::event::GenerationInfo;
 use sutura_proto::generation::PARAMETER_GENERATION;
 use sutura_proto::keys::{self, Resource};
+use sutura_proto::login::Login;
 use sutura_proto::session::{SeamReply, SeamRequest, SessionInfo};
 use sutura_proto::simulation::{Force, ForceRequest, GrabRequest};
 use sutura_proto::{bus, media};
@@ -39,6 +41,12 @@ impl ZenohClient {
     /// Connects as a client to `endpoint`, such as `tcp/127.0.0.1:7447`; scouting is off. Needs
     /// Tokio's multi-threaded runtime.
     pub async fn open(endpoint: &str) -> Result<ZenohClient> {
+        ZenohClient::open_as(endpoint, &Credentials::default()).await
+    }
+
+    /// The same with a key, which is shown when joining and with every query, or trusting a certificate
+    /// authority of one's own (`tls/localhost:7447`).
+    pub async fn open_as(endpoint: &str, credentials: &Credentials) -> Result<ZenohClient> {
         let endpoints = serde_json::to_string(&[endpoint])?;
         let mut config = zenoh::Config::default();
         for (key, value) in [
@@ -50,10 +58,24 @@ impl ZenohClient {
         ] {
             config.insert_json5(key, value).map_err(Error::Zenoh)?;
         }
-        ZenohClient::open_with(config).await
+        if let Some(key) = &credentials.key {
+            let Login { user, password } = Login::of_key(key);
+            let login = serde_json::json!({"user": user, "password": password});
+            config
+                .insert_json5("transport/auth/usrpwd", &login.to_string())
+                .map_err(Error::Zenoh)?;
+        }
+        if let Some(path) = &credentials.ca_file {
+            // Refused here with a reason, which Zenoh would keep to itself.
+            credentials.tls()?;
+            let tls = serde_json::json!({"root_ca_certificate": path});
+            config.insert_json5("transport/link/tls", &tls.to_string()).map_err(Error::Zenoh)?;
+        }
+        let client = ZenohClient::open_with(config).await?;
+        Ok(ZenohClient { shown: credentials.key.as_deref().map(Arc::from), ..client })
     }
 
-    /// Connects as `config` says.
+    /// Connects as `config` says, without a key.
     pub async fn open_with(config: zenoh::Config) -> Result<ZenohClient> {
         // Zenoh would panic.
         if Handle::try_current().is_ok_and(|h| h.runtime_flavor() == RuntimeFlavor::CurrentThread) {
@@ -61,11 +83,6 @@ impl ZenohClient {
         }
         let zenoh_session = zenoh::open(config).await.map_err(Error::Zenoh)?;
         Ok(ZenohClient { zenoh_session, shown: None })
-    }
-
-    /// Shows this key with every query.
-    pub fn with_key(self, key: &str) -> ZenohClient {
-        ZenohClient { shown: Some(key.into()), ..self }
     }
 
     /// The session named `id`, whether or not it exists.
@@ -147,7 +164,7 @@ impl BusSession {
     pub async fn states(&self) -> Result<StateStream> {
         let subscriber = self
             .zenoh_session
-            .declare_subscriber(self.key(Resource::State)?)
+            .declare_subscriber(self.published(Resource::State).await?)
             .with(RingChannel::new(STATE_BACKLOG))
             .await
             .map_err(Error::Zenoh)?;
@@ -156,7 +173,7 @@ impl BusSession {
 
     /// Every new generation from now on.
     pub async fn generations(&self) -> Result<GenerationStream> {
-        let key = self.key(Resource::Generation)?;
+        let key = self.published(Resource::Generation).await?;
         let subscriber = self.zenoh_session.declare_subscriber(key).await.map_err(Error::Zenoh)?;
         Ok(GenerationStream { subscriber })
     }
@@ -183,6 +200,19 @@ impl BusSession {
             .express(true)
             .await
             .map_err(Error::Zenoh)
+    }
+
+    /// Where the daemon publishes: where it asks for keys, apart from other tenants.
+    async fn published(&self, resource: Resource) -> Result<String> {
+        let tenant = match &self.shown {
+            Some(_) => self.info().await?.tenant,
+            None => None,
+        };
+        let key = match tenant {
+            Some(tenant) => keys::tenant_session(&tenant, &self.id, resource),
+            None => keys::session(&self.id, resource),
+        };
+        key.ok_or_else(|| Error::SessionId(self.id.clone()))
     }
 
     fn key(&self, resource: Resource) -> Result<String> {

@@ -23,7 +23,7 @@ pub enum Error {
         body: String,
     },
     /// The address is not one.
-    #[error("{0:?} is not an http address")]
+    #[error("{0:?} is not an http or https address")]
     Address(String),
     /// The identifier is not one.
     #[error("{0:?} is not a session identifier")]
@@ -31,6 +31,17 @@ pub enum Error {
     /// HTTP could not carry the call.
     #[error("HTTP: {0}")]
     Http(#[from] reqwest::Error),
+    /// The authority's certificate cannot be used.
+    #[error("{}: {source}", path.display())]
+    Ca {
+        /// The file.
+        path: std::path::PathBuf,
+        /// What is wrong with it.
+        source: rustls::pki_types::pem::Error,
+    },
+    /// TLS cannot be spoken.
+    #[error("TLS: {0}")]
+    Tls(#[source] rustls::Error),
     /// The WebSocket failed.
     #[error("WebSocket: {0}")]
     WebSocket(Box<tokio_tungstenite::tungstenite::Error>),

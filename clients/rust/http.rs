@@ -1,5 +1,6 @@
 //! The daemon over HTTP.
 
+use crate::credentials::Credentials;
 use crate::error::{Error, Result};
 use crate::reply;
 use crate::session::Session;
@@ -7,6 +8,7 @@ use bytes::Bytes;
 use reqwest::header::{self, HeaderValue};
 use reqwest::multipart::{Form, Part};
 use reqwest::{Method, RequestBuilder, Url};
+use std::sync::Arc;
 use std::time::Duration;
 use sutura_proto::media;
 use sutura_proto::session::{SessionConfig, SessionInfo, SessionList};
@@ -20,33 +22,37 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
 pub struct Client {
     http: reqwest::Client,
     base: Url,
+    tls: Arc<rustls::ClientConfig>,
 }
 
 impl Client {
     /// The daemon at `base_url`, such as `http://127.0.0.1:8080`; asks whether it is there.
     pub async fn connect(base_url: &str) -> Result<Client> {
-        Client::connect_with_key(base_url, None).await
+        Client::connect_as(base_url, &Credentials::default()).await
     }
 
-    /// The same, showing a key with every request.
-    pub async fn connect_with_key(base_url: &str, key: Option<&str>) -> Result<Client> {
+    /// The same, showing a key with every request, or trusting a certificate authority of one's own.
+    pub async fn connect_as(base_url: &str, credentials: &Credentials) -> Result<Client> {
         let address = || Error::Address(base_url.to_owned());
         let base = Url::parse(base_url).map_err(|_| address())?;
-        if base.scheme() != "http" || base.cannot_be_a_base() {
+        if !matches!(base.scheme(), "http" | "https") || base.cannot_be_a_base() {
             return Err(address());
         }
-        let mut builder = reqwest::Client::builder().connect_timeout(CONNECT_TIMEOUT);
+        let tls = credentials.tls()?;
+        let mut builder = reqwest::Client::builder()
+            .connect_timeout(CONNECT_TIMEOUT)
+            .tls_backend_preconfigured(tls.clone());
         if matches!(base.host_str(), Some("localhost" | "127.0.0.1" | "[::1]")) {
             builder = builder.no_proxy();
         }
-        if let Some(key) = key {
+        if let Some(key) = &credentials.key {
             let bearer = HeaderValue::from_str(&format!("Bearer {key}"));
             let mut bearer = bearer.map_err(|_| Error::Key)?;
             bearer.set_sensitive(true);
             builder =
                 builder.default_headers([(header::AUTHORIZATION, bearer)].into_iter().collect());
         }
-        let client = Client { http: builder.build()?, base };
+        let client = Client { http: builder.build()?, base, tls: Arc::new(tls) };
         let response = client.request(Method::GET, &["healthz"])?.send().await?;
         reply::accepted(response).await?;
         Ok(client)
@@ -102,6 +108,11 @@ impl Client {
     /// A `GET` of `url`.
     pub(crate) fn get(&self, url: Url) -> RequestBuilder {
         self.http.get(url)
+    }
+
+    /// Whom an `https` address is to be trusted by.
+    pub(crate) fn tls(&self) -> Arc<rustls::ClientConfig> {
+        self.tls.clone()
     }
 
     /// The address of the path made of `segments`.

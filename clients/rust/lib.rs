@@ -11,6 +11,7 @@
 
 mod arrays;
 mod bus;
+mod credentials;
 mod error;
 mod evaluator;
 mod events;
@@ -25,6 +26,7 @@ pub use arrays::{
     StitchInForce, Transfer,
 };
 pub use bus::{BusSession, GenerationStream, ZenohClient};
+pub use credentials::Credentials;
 pub use error::{Error, Result};
 pub use evaluator::Evaluator;
 pub use events::EventStream;

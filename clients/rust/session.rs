@@ -158,7 +158,8 @@ impl Session {
 
     /// The states that the simulation publishes, over a WebSocket.
     pub async fn states(&self) -> Result<StateStream> {
-        StateStream::web_socket(self.client.url(&self.path(&["stream"]))?).await
+        let url = self.client.url(&self.path(&["stream"]))?;
+        StateStream::web_socket(url, self.client.tls()).await
     }
 
     async fn send(&self, request: RequestBuilder) -> Result<()> {

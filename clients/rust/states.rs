@@ -3,12 +3,15 @@
 use crate::error::{Error, Result};
 use futures_util::StreamExt;
 use reqwest::Url;
+use std::sync::Arc;
 use sutura_proto::session::MAX_BASIS_SIZE;
 use sutura_proto::state::{HEADER_BYTES, StateFrame};
 use tokio::net::TcpStream;
 use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::protocol::WebSocketConfig;
-use tokio_tungstenite::{MaybeTlsStream, WebSocketStream};
+use tokio_tungstenite::{
+    Connector, MaybeTlsStream, WebSocketStream, connect_async_tls_with_config,
+};
 use zenoh::handlers::RingChannelHandler;
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::Sample;
@@ -27,16 +30,24 @@ enum Source {
 }
 
 impl StateStream {
-    pub(crate) async fn web_socket(mut url: Url) -> Result<StateStream> {
+    pub(crate) async fn web_socket(
+        mut url: Url,
+        tls: Arc<rustls::ClientConfig>,
+    ) -> Result<StateStream> {
         let address = url.to_string();
-        url.set_scheme("ws").map_err(|()| Error::Address(address))?;
+        let scheme = if url.scheme() == "https" { "wss" } else { "ws" };
+        url.set_scheme(scheme).map_err(|()| Error::Address(address))?;
         let config = WebSocketConfig::default()
             .max_message_size(Some(MAX_FRAME_BYTES))
             .max_frame_size(Some(MAX_FRAME_BYTES));
-        let (socket, _) =
-            tokio_tungstenite::connect_async_with_config(url.as_str(), Some(config), true)
-                .await
-                .map_err(refusal)?;
+        let (socket, _) = connect_async_tls_with_config(
+            url.as_str(),
+            Some(config),
+            true,
+            Some(Connector::Rustls(tls)),
+        )
+        .await
+        .map_err(refusal)?;
         Ok(StateStream { source: Source::WebSocket(Box::new(socket)) })
     }
 

@@ -1,7 +1,7 @@
 //! A daemon: the store with both its doors open. `sutura serve` is one; anything else in this
 //! process can run one too.
 
-use crate::config::Config;
+use crate::config::{Config, HalfTls};
 use crate::keys::{KeyError, KeyStore};
 use metrics_exporter_prometheus::PrometheusHandle;
 use std::net::SocketAddr;
@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use sutura_store::{LocalFiles, OpenError, StorageError, Store, StoreConfig};
 use sutura_transport::bus::{self, Bus, BusError};
-use sutura_transport::{Gateway, Keyring, http};
+use sutura_transport::{Gateway, Keyring, Tls, TlsError, http};
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
@@ -55,6 +55,12 @@ pub(crate) enum StartError {
     /// Zenoh cannot be served.
     #[error(transparent)]
     Zenoh(#[from] BusError),
+    /// The certificate is not there.
+    #[error(transparent)]
+    HalfTls(#[from] HalfTls),
+    /// The certificate cannot be used.
+    #[error("the certificate cannot be used: {0}")]
+    Tls(#[from] TlsError),
 }
 
 /// Takes over the keys that are made and revoked while the daemon runs. When the last one has gone, nobody
@@ -83,6 +89,7 @@ async fn watch_keys(keys: KeyStore, mut known: Keyring, gateway: Gateway) {
 pub(crate) struct Daemon {
     store: Store,
     bus: Bus,
+    tls: Option<Arc<Tls>>,
     http_address: SocketAddr,
     stop_http: oneshot::Sender<()>,
     http: JoinHandle<std::io::Result<()>>,
@@ -97,6 +104,8 @@ impl Daemon {
         config: &Config,
         recorder: PrometheusHandle,
     ) -> Result<Daemon, StartError> {
+        let tls_files = config.tls.files()?;
+        let tls = tls_files.clone().map(Tls::load).transpose()?.map(Arc::new);
         let store_config = StoreConfig {
             work: config.work.clone(),
             limits: config.limits.clone(),
@@ -122,25 +131,43 @@ impl Daemon {
                     return Err(StartError::Open { address });
                 }
                 tracing::warn!(%address, "open to the network, and nobody is asked who they are");
+            } else if tls.is_none() && !address.ip().is_loopback() {
+                tracing::warn!(%address, "open to the network without TLS: keys travel readable");
             }
         }
         let watch_keys = keys.map(|keys| tokio::spawn(watch_keys(keys, keyring, gateway.clone())));
-        let bus = bus::open(&gateway, config.zenoh.bus()).await?;
+        let bus =
+            bus::open(&gateway, config.zenoh.bus(tls_files, config.data.path.0.as_deref())).await?;
         let (stop_http, stopped) = oneshot::channel();
-        let http = tokio::spawn(http::serve(gateway, listener, async {
+        let http = tokio::spawn(http::serve(gateway, listener, tls.clone(), async {
             // Dropping the daemon stops it too.
             let _ = stopped.await;
         }));
         let deadline = config.shutdown.deadline;
-        Ok(Daemon { store, bus, http_address, stop_http, http, watch_keys, deadline })
+        Ok(Daemon { store, bus, tls, http_address, stop_http, http, watch_keys, deadline })
     }
 
-    /// Base of every HTTP address of this daemon: `http://127.0.0.1:8080`.
+    /// Base of every HTTP address of this daemon: `http://127.0.0.1:8080`, or `https://…`.
     pub(crate) fn http_url(&self) -> String {
-        format!("http://{}", self.http_address)
+        let scheme = if self.tls.is_some() { "https" } else { "http" };
+        format!("{scheme}://{}", self.http_address)
     }
 
-    /// The endpoint that Zenoh clients connect to: `tcp/127.0.0.1:7447`.
+    /// Takes over what the certificate's files hold now, for connections from now on; Zenoh's connect again.
+    pub(crate) fn reload(&self) {
+        let Some(tls) = &self.tls else {
+            return tracing::info!("there is no certificate to read again");
+        };
+        match tls.reload() {
+            Ok(()) => {
+                tracing::info!("certificate read again");
+                self.bus.renew();
+            }
+            Err(error) => tracing::error!(%error, "the certificate in use goes on"),
+        }
+    }
+
+    /// The endpoint that Zenoh clients connect to: `tcp/127.0.0.1:7447`, or `tls/…`.
     pub(crate) fn zenoh_endpoint(&self) -> String {
         self.bus.endpoint()
     }

@@ -19,7 +19,7 @@ use daemon::Daemon;
 use demo::{DemoArgs, DemoError, SubscriberArgs};
 use doctor::DoctorError;
 use prepare::PrepareError;
-use signals::Signals;
+use signals::{Signals, Wanted};
 use std::io::Write;
 use std::process::ExitCode;
 
@@ -85,11 +85,16 @@ async fn serve(args: ServeArgs) -> Result<(), Failure> {
     writeln!(std::io::stdout(), "http {}", daemon.http_url())?;
     writeln!(std::io::stdout(), "zenoh {}", daemon.zenoh_endpoint())?;
 
-    let signal = signals.next().await;
+    let signal = loop {
+        match signals.next().await {
+            Wanted::Reload => daemon.reload(),
+            Wanted::End(signal) => break signal,
+        }
+    };
     tracing::info!(signal, deadline_s = config.shutdown.deadline.as_secs_f64(), "stopping");
     tokio::select! {
         () = daemon.stop() => Ok(()),
-        signal = signals.next() => Err(Failure::Impatient(signal)),
+        signal = signals.end() => Err(Failure::Impatient(signal)),
     }
 }
 
@@ -155,7 +160,11 @@ impl Failure {
         match self {
             Failure::Config(_) | Failure::LogFilter(_) => BAD_INPUT,
             Failure::Key(keys::KeyError::Unknown(_) | keys::KeyError::Invalid { .. }) => BAD_INPUT,
-            Failure::Start(daemon::StartError::Open { .. }) => BAD_INPUT,
+            Failure::Start(
+                daemon::StartError::Open { .. }
+                | daemon::StartError::HalfTls(_)
+                | daemon::StartError::Tls(_),
+            ) => BAD_INPUT,
             Failure::Client(error) if error.is_bad_input() => BAD_INPUT,
             Failure::Export(error) if error.is_bad_input() => BAD_INPUT,
             Failure::Prepare(error) if error.is_bad_input() => BAD_INPUT,

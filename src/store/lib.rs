@@ -29,6 +29,8 @@ mod stepping;
 mod storage;
 mod store;
 mod tasks;
+#[cfg(feature = "testing")]
+pub mod testing;
 #[cfg(test)]
 mod tests;
 

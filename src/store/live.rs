@@ -306,6 +306,7 @@ impl LiveSession {
         SessionInfo {
             id: self.id,
             name: self.owner.name.clone(),
+            tenant: self.tenant().map(str::to_owned),
             state: inner.state,
             progress: inner.progress,
             size: self.size,

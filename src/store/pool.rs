@@ -417,7 +417,7 @@ mod tests {
     #[test]
     fn one_lane_runs_one_task_at_a_time_and_does_not_hold_up_the_others() {
         let pool = pool(2, 8);
-        let lane = SessionId::new();
+        let lane = SessionId::behind(None);
         let release = occupy(&pool, FIRST, Some(lane));
         let (log, order) = mpsc::channel();
         let later = log.clone();
@@ -461,7 +461,7 @@ mod tests {
     fn cancelling_a_lane_leaves_the_others_alone() {
         let pool = pool(1, 8);
         let release = occupy(&pool, FIRST, None);
-        let lane = SessionId::new();
+        let lane = SessionId::behind(None);
         pool.submit(FIRST, Some(lane), |_| unreachable!()).unwrap();
         let (log, order) = mpsc::channel();
         note(&pool, FIRST, 1, &log);

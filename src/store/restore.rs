@@ -7,7 +7,7 @@ use crate::error::StoreError;
 use crate::live::LiveSession;
 use crate::pool::{CancelFlag, catching};
 use crate::prepared::PreparedBodies;
-use crate::session::Generation;
+use crate::session::{Generation, SessionId};
 use crate::store::{PREPARATION, Shared};
 use crate::tasks::DEFAULT_TOLERANCE;
 use std::sync::{Arc, PoisonError};
@@ -16,6 +16,14 @@ use sutura_core::control::Control;
 use sutura_core::edit::EditState;
 
 impl Shared {
+    /// A name for another session.
+    pub(crate) fn new_id(&self) -> SessionId {
+        let mut newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
+        let id = SessionId::behind(*newest);
+        *newest = Some(id);
+        id
+    }
+
     /// Takes in the sessions of earlier processes and begins to restore them, simulated ones first, then the
     /// last changed.
     pub(crate) fn adopt(self: &Arc<Self>, found: Vec<Found>) {
@@ -27,6 +35,8 @@ impl Shared {
             order.push((session.has_simulation_config(), modified, session.id));
             sessions.insert(session.id, session);
         }
+        let newest = sessions.keys().next_back().copied();
+        *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = newest;
         drop(sessions);
         if order.is_empty() {
             return;

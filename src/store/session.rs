@@ -13,9 +13,12 @@ use sutura_core::mesh::TetMesh;
 pub struct SessionId(uuid::Uuid);
 
 impl SessionId {
-    /// A new name.
-    pub(crate) fn new() -> Self {
-        Self(uuid::Uuid::now_v7())
+    /// A new name, which comes behind `newest` whatever the clock says: sessions are listed in the order in
+    /// which they were opened.
+    pub(crate) fn behind(newest: Option<SessionId>) -> Self {
+        let by_clock = Self(uuid::Uuid::now_v7());
+        let next = newest.and_then(|newest| newest.0.as_u128().checked_add(1));
+        next.map_or(by_clock, |next| by_clock.max(Self(uuid::Uuid::from_u128(next))))
     }
 }
 
@@ -187,6 +190,8 @@ pub struct SessionInfo {
     pub id: SessionId,
     /// Its name for people.
     pub name: String,
+    /// Whose it is; `None` if it was opened where nobody was asked.
+    pub tenant: Option<String>,
     /// What it is doing.
     pub state: SessionState,
     /// How far that has come, while something is being computed.

@@ -58,6 +58,8 @@ pub(crate) struct Shared {
     archive: Option<Arc<Archive>>,
     /// Sessions of earlier processes whose bodies nobody has asked for yet, the next one last.
     pub(crate) to_restore: Mutex<Vec<SessionId>>,
+    /// The last name that a session was given.
+    pub(crate) newest: Mutex<Option<SessionId>>,
 }
 
 /// Why a store could not be opened.
@@ -135,6 +137,7 @@ impl Store {
             stepping: SteppingThreads::start(work.n_stepping_threads, work.stepping_queue_limit)?,
             archive,
             to_restore: Mutex::default(),
+            newest: Mutex::default(),
             config,
         };
         Ok(Store { shared: Arc::new(shared) })
@@ -186,7 +189,7 @@ impl Store {
     fn create_now(&self, request: CreateSession) -> Result<SessionId, StoreError> {
         let shared = &self.shared;
         let CreateSession { name, tenant, mesh, params } = request;
-        let id = SessionId::new();
+        let id = shared.new_id();
         let beginning = Beginning {
             name: &name,
             tenant: tenant.as_deref(),
@@ -326,7 +329,7 @@ impl Store {
         let session = self.session(id)?;
         let name = name.unwrap_or_else(|| session.name().to_owned());
         let (generations, seams) = session.kept()?;
-        let fork_id = SessionId::new();
+        let fork_id = self.shared.new_id();
         let journal = match generations.first() {
             None => None,
             Some(generation) => {

@@ -102,6 +102,11 @@ impl Keyring {
         self.grants.is_empty()
     }
 
+    /// What each opens.
+    pub(crate) fn grants(&self) -> impl Iterator<Item = (&KeyHash, &Grant)> {
+        self.grants.iter()
+    }
+
     /// Whether nobody is asked for one.
     pub fn is_open(&self) -> bool {
         self.is_open

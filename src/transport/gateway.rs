@@ -5,7 +5,7 @@ use crate::limits::Limits;
 use crate::metrics;
 use crate::problem::{Kind, Problem};
 use metrics_exporter_prometheus::PrometheusHandle;
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::Arc;
 use sutura_store::Store;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
@@ -23,7 +23,7 @@ struct Inner {
     uploads: Arc<Semaphore>,
     streams: Arc<Semaphore>,
     winding_down: watch::Sender<bool>,
-    keys: RwLock<Arc<Keyring>>,
+    keys: watch::Sender<Arc<Keyring>>,
 }
 
 impl Gateway {
@@ -34,7 +34,7 @@ impl Gateway {
             uploads: Arc::new(Semaphore::new(limits.max_uploads)),
             streams: Arc::new(Semaphore::new(limits.max_streams)),
             winding_down: watch::Sender::new(false),
-            keys: RwLock::default(),
+            keys: watch::Sender::default(),
             store,
             limits,
             recorder,
@@ -54,12 +54,17 @@ impl Gateway {
 
     /// Asks everybody for one of these keys from now on, unless they leave the daemon open.
     pub fn set_keys(&self, keys: Keyring) {
-        *self.inner.keys.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(keys);
+        self.inner.keys.send_replace(Arc::new(keys));
     }
 
     /// The keys that open the daemon.
     pub(crate) fn keys(&self) -> Arc<Keyring> {
-        self.inner.keys.read().unwrap_or_else(PoisonError::into_inner).clone()
+        self.inner.keys.borrow().clone()
+    }
+
+    /// Tells when there are others.
+    pub(crate) fn watch_keys(&self) -> watch::Receiver<Arc<Keyring>> {
+        self.inner.keys.subscribe()
     }
 
     pub(crate) fn recorder(&self) -> &PrometheusHandle {

@@ -14,7 +14,7 @@
 //! let gateway = Gateway::new(store, Limits::default(), install_recorder()?);
 //! let bus = bus::open(&gateway, bus::BusConfig::loopback(7447, "my-daemon")).await?;
 //! let listener = tokio::net::TcpListener::bind("127.0.0.1:8080").await?;
-//! http::serve(gateway, listener, async { tokio::signal::ctrl_c().await.unwrap() }).await?;
+//! http::serve(gateway, listener, None, async { tokio::signal::ctrl_c().await.unwrap() }).await?;
 //! bus.close().await?;
 //! # Ok(())
 //! # }
@@ -30,8 +30,11 @@ mod limits;
 mod metrics;
 mod offline;
 mod problem;
+#[cfg(feature = "testing")]
+pub mod testing;
 #[cfg(test)]
 mod tests;
+mod tls;
 
 pub use access::{Grant, KeyHash, Keyring, Role, hash, key};
 pub use conversion::session::UNNAMED;
@@ -39,3 +42,4 @@ pub use gateway::Gateway;
 pub use limits::Limits;
 pub use metrics::install_recorder;
 pub use offline::read_request;
+pub use tls::{Tls, TlsError, TlsFiles};

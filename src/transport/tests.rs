@@ -201,7 +201,7 @@ async fn an_edit_whose_client_hangs_up_is_cancelled() {
     let address = listener.local_addr().unwrap();
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
     let stopping = async move { drop(stopped.await) };
-    let served = tokio::spawn(http::serve(door.gateway.clone(), listener, stopping));
+    let served = tokio::spawn(http::serve(door.gateway.clone(), listener, None, stopping));
 
     let edit =
         json!(EditRequest { method: EditMethod::FromScratch, ..stitch(&seam()) }).to_string();

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -22,6 +24,8 @@ from .states import QueuedStates, StateStream
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 
 _PREFIX = "sutura/v1"
+# A key joins by the beginning of its SHA-256 as the name, and all of it as the password.
+_N_USER_DIGITS = 12
 _JSON = zenoh.Encoding.APPLICATION_JSON
 # How long an answer may take: an edit of a large body takes seconds, from scratch minutes.
 _QUERY_TIMEOUT_S = 600.0
@@ -40,11 +44,15 @@ class ZenohClient:
         config: zenoh.Config | None = None,
         *,
         api_key: str | None = None,
+        ca_file: str | Path | None = None,
     ) -> None:
         """Connect as a client to ``endpoint``, scouting off; or as ``config`` says.
 
-        ``api_key``, or else the one in SUTURA_KEY, is shown with every query and publication.
+        ``api_key``, or else the one in SUTURA_KEY, is shown when joining and with every query and
+        publication. ``ca_file``, or else the one in SUTURA_CA, holds the certificates (PEM) of the only
+        authorities that a ``tls/`` endpoint is trusted by, instead of those of the web.
         """
+        ca_file = ca_file or os.environ.get("SUTURA_CA")
         self._api_key = api_key or os.environ.get("SUTURA_KEY")
         if config is None:
             config = zenoh.Config()
@@ -56,6 +64,13 @@ class ZenohClient:
                 "transport/link/rx/max_message_size": _MAX_MESSAGE_BYTES,
             }.items():
                 config.insert_json5(key, json.dumps(value))
+            if self._api_key is not None:
+                digest = hashlib.sha256(self._api_key.encode()).hexdigest()
+                login = {"user": digest[:_N_USER_DIGITS], "password": digest}
+                config.insert_json5("transport/auth/usrpwd", json.dumps(login))
+            if ca_file is not None:
+                tls = {"root_ca_certificate": str(ca_file)}
+                config.insert_json5("transport/link/tls", json.dumps(tls))
         try:
             self._zenoh_session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -111,6 +126,13 @@ class BusSession(AnySession):
 
     def _key(self, resource: str) -> str:
         return f"{_PREFIX}/sessions/{self.id}/{resource}"
+
+    def _published(self, resource: str) -> str:
+        """Where the daemon publishes: where it asks for keys, apart from other tenants."""
+        tenant = None if self._api_key is None else self.info().tenant
+        if tenant is None:
+            return self._key(resource)
+        return f"{_PREFIX}/tenants/{tenant}/sessions/{self.id}/{resource}"
 
     def _query(self, resource: str, parameters: str = "", payload: bytes | None = None) -> bytes:
         selector = f"{self._key(resource)}?{parameters}"
@@ -175,14 +197,14 @@ class BusSession(AnySession):
         """The states that the simulation publishes."""
         stream = QueuedStates()
         subscriber = self._zenoh_session.declare_subscriber(
-            self._key("state"), lambda sample: stream.push(sample.payload.to_bytes())
+            self._published("state"), lambda sample: stream.push(sample.payload.to_bytes())
         )
         stream.on_close = subscriber.undeclare
         return stream
 
     def generations(self) -> Iterator[GenerationInfo]:
         """Every new generation from now on."""
-        subscriber = self._zenoh_session.declare_subscriber(self._key("generation"))
+        subscriber = self._zenoh_session.declare_subscriber(self._published("generation"))
         return _generations(subscriber)
 
 

@@ -6,6 +6,7 @@ import contextlib
 import io
 import json as json_format
 import os
+import ssl
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -60,12 +61,15 @@ class Client:
         *,
         api_key: str | None = None,
         timeout_s: float | None = None,
+        ca_file: str | Path | None = None,
     ) -> None:
         """Ask the daemon at ``url`` whether it is there.
 
         Without ``url`` the one that the variable SUTURA_SERVER names, or else the one on this machine;
         without ``api_key`` the key in SUTURA_KEY, if there is one.
         ``api_key`` is sent as a bearer token; ``timeout_s`` bounds the wait for each answer.
+        ``ca_file``, or else the one in SUTURA_CA, holds the certificates (PEM) of the only authorities that
+        an ``https`` address is trusted by, instead of the usual ones.
         """
         url = url or os.environ.get("SUTURA_SERVER") or DEFAULT_URL
         parts = urlsplit(url)
@@ -75,6 +79,9 @@ class Client:
         api_key = api_key or os.environ.get("SUTURA_KEY")
         self.headers = {} if api_key is None else {"authorization": f"Bearer {api_key}"}
         self.is_proxied = parts.hostname not in _LOOPBACK
+        ca_file = ca_file or os.environ.get("SUTURA_CA")
+        # Certificates take long to load and serve https alone.
+        self.tls = ssl.create_default_context(cafile=ca_file) if parts.scheme == "https" else None
         self._http = self._connect(timeout_s)
         try:
             self.send("GET", "healthz")
@@ -257,8 +264,7 @@ class Client:
             headers=self.headers,
             timeout=httpx.Timeout(timeout_s, connect=_CONNECT_TIMEOUT_S),
             trust_env=self.is_proxied,
-            # Certificates take long to load and serve https alone.
-            verify=self._base.startswith("https"),
+            verify=self.tls or False,
         )
 
     @contextlib.contextmanager

@@ -38,6 +38,8 @@ class SessionInfo(Document):
 
     id: str
     name: str | None
+    tenant: str | None
+    """Whose it is, where the daemon asks for keys."""
     state: str
     """``building``, ``ready``, ``rebuilding`` or ``failed``; ``stored`` or ``restoring`` on disk."""
     stage: str | None

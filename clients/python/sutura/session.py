@@ -172,7 +172,7 @@ class Session(AnySession):
     def states(self) -> StateStream:
         """The states that the simulation publishes, over a WebSocket."""
         url = self._client.url(self._path("stream"))
-        return WebSocketStates(url, self._client.headers, self._client.is_proxied)
+        return WebSocketStates(url, self._client.headers, self._client.is_proxied, self._client.tls)
 
 
 def _left(deadline: float | None) -> float | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import ssl
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -78,7 +79,7 @@ class StateStream(ABC):
 class WebSocketStates(StateStream):
     """States over a WebSocket."""
 
-    def __init__(self, url: str, headers: dict[str, str], is_proxied: bool) -> None:
+    def __init__(self, url: str, headers: dict[str, str], is_proxied: bool, tls: ssl.SSLContext | None) -> None:
         """Connect to ``url``; raises the daemon's refusal."""
         address = urlsplit(url)._replace(scheme="wss" if url.startswith("https") else "ws")
         self._closing = contextlib.ExitStack()
@@ -90,6 +91,7 @@ class WebSocketStates(StateStream):
                 max_queue=_BACKLOG,
                 close_timeout=_CLOSE_TIMEOUT_S,
                 proxy=True if is_proxied else None,
+                ssl=tls,
             )
             self._socket = self._closing.enter_context(connection)
         except InvalidStatus as error:

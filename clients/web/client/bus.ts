@@ -117,15 +117,25 @@ export class BusSession extends Arrays {
   }
 
   /** The states that the simulation publishes from now on. */
-  states(): Promise<BusStream<StateFrame>> {
-    return BusStream.open(this.#zenohSession, this.#keyOf('state'), (bytes) =>
+  async states(): Promise<BusStream<StateFrame>> {
+    return BusStream.open(this.#zenohSession, await this.#published('state'), (bytes) =>
       decodeState(bytes.slice().buffer as ArrayBuffer),
     )
   }
 
   /** Every new generation from now on. */
-  generations(): Promise<BusStream<Schemas['GenerationInfo']>> {
-    return BusStream.open(this.#zenohSession, this.#keyOf('generation'), parse<Schemas['GenerationInfo']>)
+  async generations(): Promise<BusStream<Schemas['GenerationInfo']>> {
+    const key = await this.#published('generation')
+    return BusStream.open(this.#zenohSession, key, parse<Schemas['GenerationInfo']>)
+  }
+
+  /** Where the daemon publishes: where it asks for keys, apart from other tenants. */
+  async #published(resource: string): Promise<string> {
+    const { tenant } = this.#attachment.attachment === undefined ? {} : await this.info()
+    if (!tenant) {
+      return this.#keyOf(resource)
+    }
+    return `${PREFIX}/tenants/${tenant}/sessions/${this.id}/${resource}`
   }
 
   override async frame(

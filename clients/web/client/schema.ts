@@ -1014,6 +1014,15 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description Impossible value */
+                422: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description As many as allowed exist */
                 429: {
                     headers: {
@@ -4158,6 +4167,11 @@ export interface components {
             stage?: string | null;
             /** @description What it is doing. */
             state: components["schemas"]["SessionState"];
+            /**
+             * @description Whose it is, where the daemon asks for keys: what is published of it over Zenoh lies below
+             *     `sutura/v1/tenants/{tenant}`.
+             */
+            tenant?: string | null;
             /** @description Time spent in each stage of the build or rebuild that made the current generation, in ms. */
             timings_ms: {
                 [key: string]: number;

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use sutura_client::proto::edit::{Edit, EditMethod, EditReply, EditRequest};
 use sutura_client::proto::event::Event;
 use sutura_client::proto::session::SessionInfo;
-use sutura_client::{Client, Error};
+use sutura_client::{Client, Credentials, Error};
 
 /// Sessions asked for at a time.
 const PAGE: usize = 100;
@@ -33,6 +33,9 @@ pub(crate) struct ClientArgs {
     /// The key that it asks for, if it does.
     #[arg(long, env = "SUTURA_KEY", hide_env_values = true, value_name = "KEY")]
     key: Option<String>,
+    /// Certificates (PEM) of the only authorities to trust in its own, instead of those of the system.
+    #[arg(long, env = "SUTURA_CA", value_name = "FILE")]
+    ca: Option<PathBuf>,
     /// Print JSON.
     #[arg(long)]
     json: bool,
@@ -40,7 +43,8 @@ pub(crate) struct ClientArgs {
 
 impl ClientArgs {
     async fn connect(&self) -> Result<Client, Error> {
-        Client::connect_with_key(&self.server, self.key.as_deref()).await
+        let credentials = Credentials { key: self.key.clone(), ca_file: self.ca.clone() };
+        Client::connect_as(&self.server, &credentials).await
     }
 }
 
@@ -136,7 +140,7 @@ impl ClientError {
     pub(crate) fn is_bad_input(&self) -> bool {
         match self {
             ClientError::File(_) => true,
-            ClientError::Daemon(Error::Address(_) | Error::SessionId(_)) => true,
+            ClientError::Daemon(Error::Address(_) | Error::SessionId(_) | Error::Ca { .. }) => true,
             ClientError::Daemon(error) => {
                 error.status().is_some_and(|status| (400..500).contains(&status) && status != 429)
             }

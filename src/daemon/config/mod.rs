@@ -12,6 +12,7 @@ mod limits;
 mod log;
 mod memory;
 mod shutdown;
+mod tls;
 mod traffic;
 mod work;
 mod zenoh;
@@ -22,6 +23,7 @@ pub(crate) use http::HttpConfig;
 pub(crate) use log::{LogConfig, LogFormat};
 pub(crate) use memory::MemoryConfig;
 pub(crate) use shutdown::ShutdownConfig;
+pub(crate) use tls::{HalfTls, TlsConfig};
 pub(crate) use zenoh::{ZenohConfig, ZenohEndpoint};
 
 use serde::Deserialize;
@@ -35,6 +37,8 @@ pub(crate) struct Config {
     pub(crate) data: DataConfig,
     /// Who is let in.
     pub(crate) access: AccessConfig,
+    /// The certificate that both doors show.
+    pub(crate) tls: TlsConfig,
     /// Where HTTP is served.
     pub(crate) http: HttpConfig,
     /// Where Zenoh is served, and as whom.
@@ -82,7 +86,12 @@ impl Config {
     pub(crate) fn read(path: &Path) -> Result<Config, ConfigError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| ConfigError::Unreadable { path: path.into(), source })?;
-        toml::from_str(&text).map_err(|source| ConfigError::Invalid { path: path.into(), source })
+        Self::parse(&text).map_err(|source| ConfigError::Invalid { path: path.into(), source })
+    }
+
+    /// Reads a file's text.
+    pub(crate) fn parse(text: &str) -> Result<Config, toml::de::Error> {
+        toml::from_str(text)
     }
 }
 

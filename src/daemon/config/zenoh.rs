@@ -4,7 +4,9 @@ use super::bounds::{bytes, count};
 use serde::Deserialize;
 use std::fmt;
 use std::net::SocketAddr;
+use std::path::Path;
 use std::str::FromStr;
+use sutura_transport::TlsFiles;
 use sutura_transport::bus::BusConfig;
 
 /// Where Zenoh is served, and as whom.
@@ -37,13 +39,15 @@ impl Default for ZenohConfig {
 
 impl ZenohConfig {
     /// What the transport needs.
-    pub(crate) fn bus(&self) -> BusConfig {
+    pub(crate) fn bus(&self, tls: Option<TlsFiles>, folder: Option<&Path>) -> BusConfig {
         let new_name = || format!("sutura-{}", uuid::Uuid::now_v7().simple());
         BusConfig {
             listen: self.listen.0,
             daemon: self.daemon.clone().unwrap_or_else(new_name),
             max_zenoh_sessions: self.max_zenoh_sessions,
             max_message_bytes: self.max_message_bytes,
+            tls,
+            private_folder: folder.map(Path::to_owned),
         }
     }
 }

@@ -141,7 +141,7 @@ impl Archive {
                 let n_places = read.n_damaged;
                 tracing::error!(session = %id, n_places, "the journal is damaged in its midst: generations are missing");
             }
-            let contents = contents(&entry.name, &read);
+            let contents = self::read(&entry.name, &read);
             if let Ok(contents) = &contents {
                 archive.lock().use_meshes(id, contents.meshes());
             }
@@ -312,7 +312,8 @@ fn framed(record: &Record) -> Result<Vec<u8>, StoreError> {
     record::encode(record).map(|contents| frame::frame(&contents)).map_err(unwritable)
 }
 
-fn contents(name: &str, read: &frame::Frames<'_>) -> Result<Contents, StoreError> {
+/// What a journal's records say.
+pub(crate) fn read(name: &str, read: &frame::Frames<'_>) -> Result<Contents, StoreError> {
     if read.has_later_version {
         return Err(damaged(name, "it was written by a later version"));
     }
@@ -414,7 +415,7 @@ impl Journal {
         let bytes = self.archive.storage.get(&name)?;
         let bytes = bytes.ok_or_else(|| damaged(&name, "it is missing"))?;
         let end = usize::try_from(end).unwrap_or(usize::MAX).min(bytes.len());
-        contents(&name, &frame::frames(&bytes[..end]))
+        read(&name, &frame::frames(&bytes[..end]))
     }
 
     /// Whether the journal holds many more generations than the session keeps.

@@ -1,7 +1,12 @@
-//! The embedded Zenoh router's configuration: one TCP endpoint, nothing found by scouting, every
-//! size bounded.
+//! The embedded Zenoh router's configuration: one endpoint, nothing found by scouting, every size bounded, and
+//! where there are keys, nobody let in without one.
 
+use super::access::{UsersFile, access_control};
+use crate::access::Keyring;
+use crate::tls::TlsFiles;
+use serde_json::json;
 use std::net::{IpAddr, SocketAddr, TcpListener};
+use std::path::PathBuf;
 use sutura_proto::keys;
 
 /// Where and as whom the daemon joins Zenoh.
@@ -15,6 +20,10 @@ pub struct BusConfig {
     pub max_zenoh_sessions: usize,
     /// Largest message accepted from the network, in bytes.
     pub max_message_bytes: usize,
+    /// The certificate to show; without one, connections are plain TCP.
+    pub tls: Option<TlsFiles>,
+    /// A folder of the daemon's own, where passwords lie for a moment if there are keys.
+    pub private_folder: Option<PathBuf>,
 }
 
 impl BusConfig {
@@ -25,6 +34,8 @@ impl BusConfig {
             daemon: daemon.into(),
             max_zenoh_sessions: 64,
             max_message_bytes: 128 << 20,
+            tls: None,
+            private_folder: None,
         }
     }
 }
@@ -46,6 +57,17 @@ pub enum BusError {
         /// What the operating system said.
         source: std::io::Error,
     },
+    /// The passwords cannot be handed over.
+    #[error("{}: {source}", path.display())]
+    Users {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        source: std::io::Error,
+    },
+    /// There are keys, but no folder to hand their passwords over in.
+    #[error("keys need a data directory")]
+    NoFolder,
     /// Zenoh refused its configuration or a declaration.
     #[error("zenoh: {0}")]
     Zenoh(#[from] zenoh::Error),
@@ -65,30 +87,61 @@ pub(super) fn resolve(listen: SocketAddr) -> Result<SocketAddr, BusError> {
 }
 
 /// The Zenoh endpoint of an address, as a client writes it.
-pub(super) fn endpoint(address: SocketAddr) -> String {
+pub(super) fn endpoint(address: SocketAddr, has_tls: bool) -> String {
+    let protocol = if has_tls { "tls" } else { "tcp" };
     match address.ip() {
-        IpAddr::V4(ip) => format!("tcp/{ip}:{}", address.port()),
-        IpAddr::V6(ip) => format!("tcp/[{ip}]:{}", address.port()),
+        IpAddr::V4(ip) => format!("{protocol}/{ip}:{}", address.port()),
+        IpAddr::V6(ip) => format!("{protocol}/[{ip}]:{}", address.port()),
     }
 }
 
-/// Zenoh's configuration for `config` listening on the resolved `address`.
-pub(super) fn zenoh_config(
+/// Opens Zenoh as `config` says on the resolved `address`, for the holders of `keys`.
+pub(super) async fn open_zenoh(
     config: &BusConfig,
     address: SocketAddr,
-) -> Result<zenoh::Config, BusError> {
+    keys: &Keyring,
+) -> Result<zenoh::Session, BusError> {
+    let mut zenoh_config = zenoh_config(config, address)?;
+    let mut users = None;
+    if !keys.is_open() {
+        let folder = config.private_folder.as_deref().ok_or(BusError::NoFolder)?;
+        let file = users.insert(UsersFile::write(folder, keys)?);
+        // The daemon's own name: with it, users are asked for although there may be none.
+        let mut password = [0; 32];
+        getrandom::fill(&mut password)
+            .map_err(std::io::Error::from)
+            .map_err(|source| BusError::Users { path: file.path().to_owned(), source })?;
+        let password: String = password.iter().map(|byte| format!("{byte:02x}")).collect();
+        let login = json!({
+            "user": "daemon", "password": password, "dictionary_file": file.path(),
+        });
+        zenoh_config.insert_json5("transport/auth/usrpwd", &login.to_string())?;
+        zenoh_config.insert_json5("access_control", &access_control(keys).to_string())?;
+    }
+    let zenoh_session = zenoh::open(zenoh_config).await?;
+    drop(users);
+    Ok(zenoh_session)
+}
+
+/// Zenoh's configuration for `config` listening on the resolved `address`.
+fn zenoh_config(config: &BusConfig, address: SocketAddr) -> Result<zenoh::Config, BusError> {
     let mut zenoh_config = zenoh::Config::default();
+    let endpoint = endpoint(address, config.tls.is_some());
     for (key, value) in [
-        ("mode", r#""router""#.to_owned()),
-        ("listen/endpoints", format!(r#"["{}"]"#, endpoint(address))),
-        ("listen/exit_on_failure", "true".to_owned()),
-        ("scouting/multicast/enabled", "false".to_owned()),
-        ("scouting/gossip/enabled", "false".to_owned()),
-        ("adminspace/enabled", "false".to_owned()),
-        ("transport/link/rx/max_message_size", config.max_message_bytes.to_string()),
-        ("transport/unicast/max_sessions", config.max_zenoh_sessions.to_string()),
+        ("mode", json!("router")),
+        ("listen/endpoints", json!([endpoint])),
+        ("listen/exit_on_failure", json!(true)),
+        ("scouting/multicast/enabled", json!(false)),
+        ("scouting/gossip/enabled", json!(false)),
+        ("adminspace/enabled", json!(false)),
+        ("transport/link/rx/max_message_size", json!(config.max_message_bytes)),
+        ("transport/unicast/max_sessions", json!(config.max_zenoh_sessions)),
     ] {
-        zenoh_config.insert_json5(key, &value)?;
+        zenoh_config.insert_json5(key, &value.to_string())?;
+    }
+    if let Some(TlsFiles { certificate, private_key }) = &config.tls {
+        let tls = json!({"listen_certificate": certificate, "listen_private_key": private_key});
+        zenoh_config.insert_json5("transport/link/tls", &tls.to_string())?;
     }
     Ok(zenoh_config)
 }
@@ -103,7 +156,8 @@ mod tests {
         zenoh_config(&config, SocketAddr::from(([127, 0, 0, 1], 7447))).unwrap();
         let ipv6 = "[::1]:7447".parse().unwrap();
         zenoh_config(&config, ipv6).unwrap();
-        assert_eq!(endpoint(ipv6), "tcp/[::1]:7447");
+        assert_eq!(endpoint(ipv6, false), "tcp/[::1]:7447");
+        assert_eq!(endpoint(ipv6, true), "tls/[::1]:7447");
     }
 
     #[test]

@@ -88,8 +88,18 @@ impl States {
     }
 }
 
-/// Publishes the states of one session until it ends: nothing while there are keys, since nobody who
-/// subscribes can be asked for one. Sending never waits for a slow reader: a
+/// The key under which something is published of a session: where keys are asked for, below its tenant's,
+/// which nobody else may listen to. `None` if it is nobody's then.
+fn published(gateway: &Gateway, id: SessionId, resource: Resource) -> Option<String> {
+    let id_text = id.to_string();
+    if gateway.keys().is_open() {
+        return keys::session(&id_text, resource);
+    }
+    let tenant = gateway.store().tenant(id).ok()??;
+    keys::tenant_session(&tenant, &id_text, resource)
+}
+
+/// Publishes the states of one session until it ends. Sending never waits for a slow reader: a
 /// state that does not fit into its link's queue is dropped there.
 async fn publish_states(
     gateway: Gateway,
@@ -97,7 +107,7 @@ async fn publish_states(
     id: SessionId,
     mut frames: broadcast::Receiver<Arc<Frame>>,
 ) {
-    let Some(key) = keys::session(&id.to_string(), Resource::State) else { return };
+    let Some(key) = published(&gateway, id, Resource::State) else { return };
     let declared = zenoh_session
         .declare_publisher(key)
         .congestion_control(CongestionControl::Drop)
@@ -111,7 +121,6 @@ async fn publish_states(
     };
     loop {
         let frame = match frames.recv().await {
-            Ok(_) if !gateway.keys().is_open() => continue,
             Ok(frame) => frame,
             Err(RecvError::Lagged(count)) => {
                 metrics::frames_dropped("zenoh", count);
@@ -139,16 +148,12 @@ async fn publish_generation(
     id: SessionId,
     number: u64,
 ) {
-    // Nobody who subscribes can be asked for a key.
-    if !gateway.keys().is_open() {
-        return;
-    }
     // It may have been overtaken by many others and be gone.
     let Ok(generation) = gateway.store().generation(id, GenerationRef::Number(number)) else {
         return;
     };
-    let key = keys::session(&id.to_string(), Resource::Generation);
-    let (Some(key), Ok(payload)) = (key, json(&event::generation_info(&generation))) else {
+    let Some(key) = published(gateway, id, Resource::Generation) else { return };
+    let Ok(payload) = json(&event::generation_info(&generation)) else {
         return tracing::error!(%id, number, "a generation could not be announced");
     };
     let zenoh_session = zenoh_session.clone();

@@ -212,6 +212,7 @@ pub(crate) fn info(info: &SessionInfo) -> wire::SessionInfo {
     wire::SessionInfo {
         id: info.id.to_string(),
         name: Some(info.name.clone()),
+        tenant: info.tenant.clone(),
         state: state(info.state),
         stage: info.progress.map(|progress| progress.stage.name().to_owned()),
         progress: info.progress.map_or(1.0, |progress| progress.fraction),

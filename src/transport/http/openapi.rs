@@ -112,7 +112,7 @@ const ROUTES: &[Route] = &[
         request: Body::Json("ForkRequest"),
         status: 201,
         reply: Body::Json("SessionInfo"),
-        problems: &[Kind::NotReady, Kind::Full],
+        problems: &[Kind::NotReady, Kind::Full, Kind::ImpossibleValue],
     },
     Route {
         method: HttpMethod::Post,

@@ -3,6 +3,7 @@
 use super::router;
 use crate::gateway::Gateway;
 use crate::metrics;
+use crate::tls::Tls;
 use axum::Router;
 use axum::serve::Listener;
 use hyper::server::conn::http1;
@@ -11,6 +12,7 @@ use hyper_util::service::TowerToHyperService;
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
@@ -20,11 +22,12 @@ const MAX_CONNECTIONS: usize = 1024;
 /// How long a connection may take to send the head of its next request, idle time included.
 const MAX_HEAD_WAIT: Duration = Duration::from_secs(60);
 
-/// Serves the whole API on `listener` until `stop` is ready, then winds down: streams end, requests
-/// under way are answered.
+/// Serves the whole API on `listener`, over TLS if there is a certificate, until `stop` is ready, then winds
+/// down: streams end, requests under way are answered.
 pub async fn serve(
     gateway: Gateway,
     mut listener: TcpListener,
+    tls: Option<Arc<Tls>>,
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> std::io::Result<()> {
     let mut beside = JoinSet::new();
@@ -44,9 +47,9 @@ pub async fn serve(
             accepted = accepted => accepted,
             () = &mut stop => break,
         };
-        let (gateway, router) = (gateway.clone(), router.clone());
+        let (gateway, router, tls) = (gateway.clone(), router.clone(), tls.clone());
         connections.spawn(async move {
-            connection(&gateway, router, stream).await;
+            open(&gateway, router, stream, tls.as_deref()).await;
             drop(place);
         });
         while connections.try_join_next().is_some() {}
@@ -58,13 +61,29 @@ pub async fn serve(
     Ok(())
 }
 
-/// Serves one connection until its client leaves, or, once the daemon winds down, until the request
-/// under way is answered.
-async fn connection(gateway: &Gateway, router: Router, stream: TcpStream) {
+/// Serves one connection, over TLS if there is a certificate.
+async fn open(gateway: &Gateway, router: Router, stream: TcpStream, tls: Option<&Tls>) {
     // Published states are small and must not wait for more to come.
     if let Err(error) = stream.set_nodelay(true) {
         tracing::debug!(%error, "a connection keeps gathering small writes");
     }
+    let Some(tls) = tls else { return connection(gateway, router, stream).await };
+    let agreed = tokio::select! {
+        agreed = tls.accept(stream) => agreed,
+        () = gateway.wound_down() => None,
+    };
+    if let Some(stream) = agreed {
+        connection(gateway, router, stream).await;
+    }
+}
+
+/// Serves one connection until its client leaves, or, once the daemon winds down, until the request
+/// under way is answered.
+async fn connection(
+    gateway: &Gateway,
+    router: Router,
+    stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+) {
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(MAX_HEAD_WAIT)

@@ -1,21 +1,18 @@
-//! `sutura key`, and the file it writes: one table for each key, with its SHA-256 and what it opens.
+//! `sutura key`, and the keys of a data directory.
+
+pub(crate) mod file;
 
 use clap::{Args, Subcommand, ValueEnum};
-use serde::Deserialize;
+use file::{Entry, tenant};
 use std::fs;
 use std::io::Write;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use sutura_transport::{Grant, KeyHash, Keyring, Role, hash, key};
+use sutura_transport::{Grant, Keyring, Role, hash, key};
 
 /// The file's name in the data directory.
 const FILE: &str = "keys.toml";
-
-/// Longest name of a tenant.
-const MAX_TENANT_BYTES: usize = 64;
-
-/// Digits of a key's hash that it is named by.
-const NAME_DIGITS: usize = 12;
 
 /// Options of `sutura key`.
 #[derive(Debug, Args)]
@@ -54,8 +51,7 @@ enum KeyCommand {
     },
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum RoleName {
     /// Look, evaluate and listen.
     Read,
@@ -72,14 +68,6 @@ impl RoleName {
             RoleName::Edit => Role::Edit,
             RoleName::Admin => Role::Admin,
         }
-    }
-}
-
-fn tenant(text: &str) -> Result<String, String> {
-    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
-    match (1..=MAX_TENANT_BYTES).contains(&text.len()) && text.chars().all(allowed) {
-        true => Ok(text.to_owned()),
-        false => Err(format!("1 to {MAX_TENANT_BYTES} letters, digits, '-', '_' and '.'")),
     }
 }
 
@@ -110,39 +98,6 @@ pub(crate) enum KeyError {
     Unknown(String),
 }
 
-#[derive(Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct KeyFile {
-    #[serde(default, rename = "key")]
-    keys: Vec<Entry>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Entry {
-    tenant: String,
-    role: RoleName,
-    sha256: String,
-}
-
-impl Entry {
-    fn name(&self) -> &str {
-        self.sha256.get(..NAME_DIGITS).unwrap_or(&self.sha256)
-    }
-
-    fn hash(&self) -> Option<KeyHash> {
-        let digits = self.sha256.as_bytes();
-        let mut hash = KeyHash::default();
-        if digits.len() != 2 * hash.len() {
-            return None;
-        }
-        for (byte, pair) in hash.iter_mut().zip(digits.chunks_exact(2)) {
-            *byte = u8::from_str_radix(std::str::from_utf8(pair).ok()?, 16).ok()?;
-        }
-        Some(hash)
-    }
-}
-
 /// The keys of a data directory, as they are in its file.
 #[derive(Clone, Debug)]
 pub(crate) struct KeyStore {
@@ -161,34 +116,21 @@ impl KeyStore {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
             Err(source) => return Err(KeyError::File { path: path(), source }),
         };
-        let invalid = |message| KeyError::Invalid { path: path(), message };
-        let file: KeyFile = toml::from_str(&text).map_err(|error| invalid(error.to_string()))?;
-        for entry in &file.keys {
-            if entry.hash().is_none() || tenant(&entry.tenant).is_err() {
-                return Err(invalid(format!("the key {} is malformed", entry.name())));
-            }
-        }
-        Ok(file.keys)
+        file::parse(&text).map_err(|message| KeyError::Invalid { path: path(), message })
     }
 
     fn write(&self, entries: &[Entry]) -> Result<(), KeyError> {
         let failed = |source| KeyError::File { path: self.path.clone(), source };
-        let mut text =
-            "# Hashes of keys (sutura key --help). Whoever can write here can open everything.\n"
-                .to_owned();
-        for Entry { tenant, role, sha256 } in entries {
-            let role = role.role();
-            text += &format!(
-                "\n[[key]]\ntenant = \"{tenant}\"\nrole = \"{role}\"\nsha256 = \"{sha256}\"\n"
-            );
-        }
         let temporary = self.path.with_extension("tmp");
         let write = || {
             if let Some(folder) = self.path.parent() {
                 fs::create_dir_all(folder)?;
             }
-            let mut file = fs::File::create(&temporary)?;
-            file.write_all(text.as_bytes())?;
+            let mut options = fs::OpenOptions::new();
+            // Nobody else: what is kept of a key opens Zenoh.
+            let mut file =
+                options.write(true).create(true).truncate(true).mode(0o600).open(&temporary)?;
+            file.write_all(file::text(entries).as_bytes())?;
             file.sync_all()?;
             fs::rename(&temporary, &self.path)
         };
@@ -198,7 +140,7 @@ impl KeyStore {
     /// What opens the daemon.
     pub(crate) fn keyring(&self) -> Result<Keyring, KeyError> {
         let grant = |entry: &Entry| {
-            let grant = Grant { tenant: Arc::from(&*entry.tenant), role: entry.role.role() };
+            let grant = Grant { tenant: Arc::from(&*entry.tenant), role: entry.role };
             entry.hash().map(|hash| (hash, grant))
         };
         Ok(self.entries()?.iter().filter_map(grant).collect())
@@ -210,7 +152,7 @@ impl KeyStore {
         let key = key(&bits);
         let sha256 = hash(&key).iter().map(|byte| format!("{byte:02x}")).collect();
         let mut entries = self.entries()?;
-        entries.push(Entry { tenant, role, sha256 });
+        entries.push(Entry { tenant, role: role.role(), sha256 });
         self.write(&entries)?;
         Ok(key)
     }
@@ -234,13 +176,7 @@ pub(crate) fn run(args: KeyArgs) -> Result<(), crate::Failure> {
         KeyCommand::New { tenant, role } => writeln!(out, "{}", store.add(tenant, role)?)?,
         KeyCommand::List => {
             for entry in store.entries()? {
-                writeln!(
-                    out,
-                    "{}  {:5}  {}",
-                    entry.name(),
-                    entry.role.role().name(),
-                    entry.tenant
-                )?;
+                writeln!(out, "{}  {:5}  {}", entry.name(), entry.role.name(), entry.tenant)?;
             }
         }
         KeyCommand::Revoke { name } => store.revoke(&name)?,
