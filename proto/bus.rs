@@ -40,3 +40,73 @@ pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, BincodeError> {
     }
     Ok(document)
 }
+
+/// What the attachment of a query or a publication says, line by line: a key, where the daemon asks for one,
+/// and `x-request-id: ID`. Answers carry the request's name in the same way.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Attachment {
+    /// Who asks.
+    pub key: Option<String>,
+    /// What the request is called in the daemon's log; the daemon makes a name up where there is none.
+    pub request_id: Option<String>,
+}
+
+/// What precedes the name of a request.
+const REQUEST_ID: &str = "x-request-id:";
+
+/// Longest name of a request, in bytes.
+pub const MAX_REQUEST_ID_BYTES: usize = 128;
+
+/// Whether `name` can be repeated safely in a header or a log line.
+pub fn is_request_id(name: &[u8]) -> bool {
+    (1..=MAX_REQUEST_ID_BYTES).contains(&name.len())
+        && name.iter().all(|b| b.is_ascii_alphanumeric() || b"-_.".contains(b))
+}
+
+impl Attachment {
+    /// As it travels; `None` where there is nothing to say.
+    pub fn encode(&self) -> Option<String> {
+        let name = self.request_id.as_ref().map(|name| format!("{REQUEST_ID} {name}"));
+        let lines: Vec<&str> = self.key.as_deref().into_iter().chain(name.as_deref()).collect();
+        (!lines.is_empty()).then(|| lines.join("\n"))
+    }
+
+    /// What `bytes` say. A name that cannot be repeated is left out; what is no text says nothing.
+    pub fn decode(bytes: &[u8]) -> Attachment {
+        let mut attachment = Attachment::default();
+        for line in std::str::from_utf8(bytes).unwrap_or_default().lines() {
+            match line.strip_prefix(REQUEST_ID).map(str::trim) {
+                Some(name) if is_request_id(name.as_bytes()) => {
+                    attachment.request_id = Some(name.to_owned());
+                }
+                Some(_) => {}
+                None => attachment.key = Some(line.to_owned()),
+            }
+        }
+        attachment
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn attachments_say_who_asks_and_what_the_request_is_called() {
+        let key = Some("sutura_0123".to_owned());
+        let request_id = Some("edit-7".to_owned());
+        for attachment in [
+            Attachment::default(),
+            Attachment { key: key.clone(), request_id: None },
+            Attachment { key: None, request_id: request_id.clone() },
+            Attachment { key: key.clone(), request_id },
+        ] {
+            let text = attachment.encode().unwrap_or_default();
+            assert_eq!(Attachment::decode(text.as_bytes()), attachment);
+        }
+        // A key alone is what clients have always sent.
+        assert_eq!(Attachment::decode(b"sutura_0123").key, key);
+        assert_eq!(Attachment::decode(b"x-request-id: a b").request_id, None);
+        assert_eq!(Attachment::decode(&[0xff, 0xfe]), Attachment::default());
+    }
+}

@@ -33,10 +33,10 @@ pub struct EditRequest {
     /// Default: 1e-4.
     #[serde(default = "default_tolerance")]
     pub tolerance: f64,
-    /// Time in ms, from when the edit begins, in which to answer with the best that fits; what it
-    /// leaves undone follows in the background, as a further generation that counts as this one in
-    /// `base_generation`. Without it the answer is finished, however long that takes (`flexibility`
-    /// only).
+    /// Time in ms, from when the request comes, in which to answer with the best that fits: time spent
+    /// waiting for a turn leaves less for the edit. What it leaves undone follows in the background,
+    /// as a further generation that counts as this one in `base_generation`. Without it the answer is
+    /// finished, however long that takes (`flexibility` only).
     #[serde(default)]
     pub deadline_ms: Option<f64>,
     /// The changes, applied in order; at least one, unless `restore` is given.

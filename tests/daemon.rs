@@ -53,14 +53,30 @@ impl Daemon {
     }
 
     /// Starts one by a command of one's own.
-    pub(crate) fn start_as(mut sutura: Command, folder: &Path, arguments: &[&OsStr]) -> Daemon {
+    pub(crate) fn start_as(sutura: Command, folder: &Path, arguments: &[&OsStr]) -> Daemon {
+        Daemon::launch(sutura, folder, arguments, "warn", Stdio::inherit())
+    }
+
+    /// Starts one on a data directory, with its log of this level and above in a place of its own.
+    pub(crate) fn start_logging(folder: &Path, level: &str, log: Stdio) -> Daemon {
+        let sutura = Command::new(env!("CARGO_BIN_EXE_sutura"));
+        Daemon::launch(sutura, folder, &[], level, log)
+    }
+
+    fn launch(
+        mut sutura: Command,
+        folder: &Path,
+        arguments: &[&OsStr],
+        level: &str,
+        log: Stdio,
+    ) -> Daemon {
         let mut process = sutura
-            .args(["serve", "--http", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0", "--log", "warn"])
+            .args(["serve", "--http", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0", "--log", level])
             .arg("--data")
             .arg(folder)
             .args(arguments)
             .stdout(Stdio::piped())
-            .stderr(Stdio::inherit())
+            .stderr(log)
             .spawn()
             .unwrap();
         let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();

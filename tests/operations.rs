@@ -96,6 +96,31 @@ async fn health_readiness_metrics_and_request_ids_are_there() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_a_request_does_is_logged_under_its_name() {
+    let scratch = tempfile::tempdir().unwrap();
+    let path = scratch.path().join("log");
+    let log = std::fs::File::create(&path).unwrap();
+    let daemon = Daemon::start_logging(&scratch.path().join("data"), "info", log.into());
+    let session = ready_bar(&daemon).await;
+    let [first, second] = [&seam()[..1], &seam()[1..2]].map(stitch);
+    let url = daemon.url(&format!("/v1/sessions/{}/edits", session.id()));
+    let request = reqwest::Client::new().post(url).header("x-request-id", "over-http");
+    let reply = request.json(&first).send().await.unwrap();
+    assert_eq!(
+        (reply.status().as_u16(), &reply.headers()["x-request-id"]),
+        (200, &"over-http".parse().unwrap())
+    );
+    let zenoh = daemon.zenoh_client().await;
+    let of_zenoh = zenoh.session(session.id()).unwrap().with_request_id("over-zenoh");
+    of_zenoh.edit(&second).await.unwrap();
+    let log = std::fs::read_to_string(&path).unwrap();
+    for name in ["over-http", "over-zenoh"] {
+        let said = |line: &str| line.contains(name) && line.contains("generation ready");
+        assert!(log.lines().any(said), "nothing was logged of {name}: {log}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_daemon_asked_to_go_down_ends_its_streams_and_exits_with_0() {
     let daemon = Daemon::start();
     let session = ready_bar(&daemon).await;

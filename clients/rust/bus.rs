@@ -8,6 +8,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::sync::Arc;
 use std::time::Duration;
+use sutura_proto::bus::Attachment;
 use sutura_proto::edit::{EditReply, EditRequest};
 use sutura_proto::event::GenerationInfo;
 use sutura_proto::generation::PARAMETER_GENERATION;
@@ -91,7 +92,7 @@ impl ZenohClient {
             return Err(Error::SessionId(id.to_owned()));
         }
         let (zenoh_session, shown) = (self.zenoh_session.clone(), self.shown.clone());
-        Ok(BusSession { zenoh_session, id: id.to_owned(), shown })
+        Ok(BusSession { zenoh_session, id: id.to_owned(), shown, request_id: None })
     }
 
     /// The daemons that are up.
@@ -120,9 +121,20 @@ pub struct BusSession {
     zenoh_session: zenoh::Session,
     id: String,
     shown: Option<Arc<str>>,
+    request_id: Option<Arc<str>>,
 }
 
 impl BusSession {
+    /// Calls requests by this name, which the daemon's log then repeats: letters, digits, `-`, `_` and `.`.
+    pub fn with_request_id(self, name: &str) -> BusSession {
+        BusSession { request_id: Some(name.into()), ..self }
+    }
+
+    fn attachment(&self) -> Option<String> {
+        let owned = |text: &Option<Arc<str>>| text.as_deref().map(str::to_owned);
+        Attachment { key: owned(&self.shown), request_id: owned(&self.request_id) }.encode()
+    }
+
     /// Its identifier.
     pub fn id(&self) -> &str {
         &self.id
@@ -193,7 +205,7 @@ impl BusSession {
         let body = bus::encode(document).map_err(|e| Error::Mismatch(e.to_string()))?;
         self.zenoh_session
             .put(self.key(resource)?, body)
-            .attachment(self.shown.as_deref())
+            .attachment(self.attachment())
             .encoding(media::BINCODE)
             .congestion_control(CongestionControl::Drop)
             .priority(Priority::RealTime)
@@ -233,7 +245,7 @@ impl BusSession {
             _ => Priority::DataLow,
         };
         let get = self.zenoh_session.get(&selector).timeout(QUERY_TIMEOUT);
-        let mut get = get.priority(priority).attachment(self.shown.as_deref());
+        let mut get = get.priority(priority).attachment(self.attachment());
         if let Some(payload) = payload {
             get = get.payload(payload).encoding(media::BINCODE);
         }

@@ -91,6 +91,7 @@ pub(crate) async fn run(args: &DoctorArgs) -> Result<(), DoctorError> {
         ),
         cores(&config),
         memory(),
+        files(&config),
         data(&config),
     ];
     let is_served = daemon(&config, &mut checks).await;
@@ -140,6 +141,27 @@ fn memory() -> Check {
                 Check::ok("memory", found)
             }
         }
+    }
+}
+
+/// Files that a daemon has open beside its connections, generously.
+const FILES_APART: usize = 128;
+
+/// Whether there may be as many connections as configured; only Linux says it.
+fn files(config: &Config) -> Check {
+    let limits = std::fs::read_to_string("/proc/self/limits").unwrap_or_default();
+    let open = limits.lines().find_map(|line| {
+        line.strip_prefix("Max open files")?.split_whitespace().next()?.parse::<usize>().ok()
+    });
+    let Some(most) = open else { return Check::ok("files", "unknown: the system does not say") };
+    let connections = config.traffic.max_connections + config.zenoh.max_zenoh_sessions;
+    let found = format!("{most} may be open, {connections} of them connections");
+    if most < connections + FILES_APART {
+        let advice =
+            "raise the limit (ulimit -n, LimitNOFILE=) or lower max_connections in [traffic]";
+        Check::not_ok("files", Outcome::Warning, found, advice)
+    } else {
+        Check::ok("files", found)
     }
 }
 

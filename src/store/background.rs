@@ -5,13 +5,19 @@
 use crate::control::TaskControl;
 use crate::error::StoreError;
 use crate::live::LiveSession;
-use crate::pool::{CancelFlag, catching};
+use crate::pool::{CancelFlag, Place, catching};
 use crate::session::{Generation, GenerationRef};
-use crate::store::{PREPARATION, Shared};
+use crate::store::Shared;
 use crate::tasks::keep;
+use crate::work::PREPARATION;
 use std::sync::Arc;
 use sutura_core::build::{Method, RebuildParams, prepare_seams, rebuild};
 use sutura_core::control::Control;
+
+/// Behind everything that somebody waits for.
+fn behind(session: &LiveSession) -> Place {
+    Place::new(PREPARATION).apart().charged_to(session.account())
+}
 
 impl Shared {
     /// What the current generation of `session` leaves to be done, queued.
@@ -30,12 +36,13 @@ impl Shared {
         }
         let live = session.clone();
         let run = move |_: &CancelFlag| {
-            let Some(journal) = &live.journal else { return };
+            // A session that has gone took its journal with it.
+            let Some(journal) = live.journal.as_ref().filter(|_| !live.is_closed()) else { return };
             if let Err(error) = catching("shortening a journal", || journal.compact(n_kept)) {
                 tracing::warn!(session = %live.id, %error, "the journal stays long");
             }
         };
-        if let Err(error) = self.builds.submit(PREPARATION, None, run) {
+        if let Err(error) = self.builds.submit(behind(session), run) {
             tracing::debug!(%error, "the journal stays long");
         }
     }
@@ -73,7 +80,7 @@ impl Shared {
             }
         };
         // Not in the session's lane: edits go on meanwhile.
-        if let Err(error) = self.builds.submit(PREPARATION, None, run) {
+        if let Err(error) = self.builds.submit(behind(session), run) {
             tracing::debug!(%error, "seams not prepared");
         }
     }
@@ -118,7 +125,7 @@ impl Shared {
                 Err(error) => tracing::info!(%error, "generation not improved"),
             }
         };
-        match self.builds.submit(PREPARATION, Some(session.id), run) {
+        match self.builds.submit(behind(session).in_lane(session.id), run) {
             Ok(ticket) => session.set_improvement(ticket.cancel_on_drop()),
             Err(error) => tracing::debug!(%error, "generation not improved"),
         }

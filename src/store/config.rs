@@ -24,18 +24,23 @@ pub struct MemoryConfig {
 /// Threads, queues and pacing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WorkConfig {
-    /// Threads of the build pool. With two or more, builds leave one of them to edits.
+    /// Threads of the build pool. One of them is left to edits; of three or more, another one to bodies
+    /// that are asked for and have to be restored.
     pub n_build_threads: usize,
     /// Threads of the query pool.
     pub n_query_threads: usize,
     /// Threads that step simulations.
     pub n_stepping_threads: usize,
-    /// Builds that may wait for a thread.
+    /// Builds that may wait for a thread. One tenant takes no more places than it leaves, here and below.
     pub build_queue_limit: usize,
     /// Edits that may wait for a thread.
     pub edit_queue_limit: usize,
     /// Queries that may wait for a thread.
     pub query_queue_limit: usize,
+    /// How long an edit may wait for a thread.
+    pub max_edit_wait: Duration,
+    /// How long a query may wait for a thread.
+    pub max_query_wait: Duration,
     /// Messages that may wait for a stepping thread.
     pub stepping_queue_limit: usize,
     /// Generations of a session that stay retrievable, the current one included.
@@ -51,12 +56,14 @@ pub struct WorkConfig {
 impl Default for WorkConfig {
     fn default() -> Self {
         Self {
-            n_build_threads: 2,
+            n_build_threads: 3,
             n_query_threads: 2,
             n_stepping_threads: 1,
             build_queue_limit: 16,
             edit_queue_limit: 64,
             query_queue_limit: 256,
+            max_edit_wait: Duration::from_secs(10),
+            max_query_wait: Duration::from_secs(10),
             stepping_queue_limit: 1024,
             n_kept_generations: 8,
             progress_interval: Duration::from_millis(100),

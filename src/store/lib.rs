@@ -4,7 +4,7 @@
 //! [`Store`] is the whole interface; HTTP and Zenoh call the same methods. It owns three kinds of
 //! threads, apart from the caller's asynchronous ones:
 //!
-//! - the build pool, for builds and edits (seconds);
+//! - the build pool, for edits (a fraction of a second) and, behind them, builds (seconds);
 //! - the query pool, for evaluations and the assembly of large answers (milliseconds);
 //! - the stepping threads, which advance simulations in real time.
 //!
@@ -19,9 +19,11 @@ mod error;
 mod event;
 mod live;
 mod memory;
+mod metrics;
 mod pacing;
 mod pool;
 mod prepared;
+mod priority;
 mod restore;
 mod session;
 mod simulation;
@@ -33,10 +35,13 @@ mod tasks;
 pub mod testing;
 #[cfg(test)]
 mod tests;
+mod work;
 
 pub use config::{Limits, MemoryConfig, StoreConfig, WorkConfig};
 pub use error::{InputError, StoreError};
 pub use event::{Event, EventKind};
+pub use metrics::describe_metrics;
+pub use pool::Account;
 pub use session::{
     CreateSession, EditRequest, Generation, GenerationRef, MeshSize, NotASessionId, Progress,
     SessionId, SessionInfo, SessionState,
@@ -45,4 +50,5 @@ pub use simulation::{
     ContactConfig, Frame, GrabConfig, SimulationConfig, SimulationInfo, VertexForce,
 };
 pub use storage::{Entry, LocalFiles, Storage, StorageError};
-pub use store::{Load, OpenError, Store};
+pub use store::{OpenError, Store};
+pub use work::{Load, TaskLoad};

@@ -6,7 +6,7 @@
 use crate::archive::{Found, Journal};
 use crate::error::StoreError;
 use crate::event::{Event, EventKind};
-use crate::pool::{CancelOnDrop, catching};
+use crate::pool::{Account, CancelOnDrop, catching};
 use crate::session::{
     Generation, GenerationRef, MeshSize, Progress, SessionId, SessionInfo, SessionState,
 };
@@ -227,6 +227,11 @@ impl LiveSession {
     /// Whose it is.
     pub(crate) fn tenant(&self) -> Option<&str> {
         self.owner.tenant.as_deref()
+    }
+
+    /// Whose turns its work takes.
+    pub(crate) fn account(&self) -> Account {
+        self.tenant().map_or(Account::Session(self.id), |tenant| Account::of(Some(tenant)))
     }
 
     pub(crate) fn state(&self) -> SessionState {

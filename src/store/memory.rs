@@ -2,16 +2,30 @@
 
 use crate::live::{Leftovers, LiveSession};
 use crate::session::SessionId;
-use crate::store::Shared;
-use std::collections::BTreeSet;
+use crate::store::{Shared, Store};
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, PoisonError};
+
+impl Store {
+    /// Bytes of the bodies in memory, by the tenants that their sessions belong to. For a thread that may
+    /// take its time.
+    pub fn memory(&self) -> BTreeMap<Option<String>, usize> {
+        self.shared.memory_by_tenant()
+    }
+}
 
 impl Shared {
     /// Bytes of all bodies in memory; what generations and sessions share is counted once.
     pub(crate) fn memory_in_use(&self) -> usize {
+        self.memory_by_tenant().values().sum()
+    }
+
+    /// The same by tenant. What tenants share is counted with whoever has the oldest session on it.
+    fn memory_by_tenant(&self) -> BTreeMap<Option<String>, usize> {
         let mut counted = BTreeSet::new();
-        let mut n_bytes = 0;
+        let mut by_tenant = BTreeMap::new();
         for session in self.all_sessions() {
+            let mut n_bytes = 0;
             for generation in session.in_memory() {
                 let body = &generation.artifacts;
                 if counted.insert(Arc::as_ptr(body).addr()) {
@@ -22,8 +36,9 @@ impl Shared {
                     n_bytes += of_base;
                 }
             }
+            *by_tenant.entry(session.tenant().map(str::to_owned)).or_default() += n_bytes;
         }
-        n_bytes
+        by_tenant
     }
 
     /// Makes room for `n_bytes` more, or as much of it as can be made: bodies of idle sessions leave

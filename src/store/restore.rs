@@ -5,11 +5,12 @@ use crate::archive::{Contents, Found, Journal};
 use crate::control::TaskControl;
 use crate::error::StoreError;
 use crate::live::LiveSession;
-use crate::pool::{CancelFlag, catching};
+use crate::pool::{CancelFlag, Place, catching};
 use crate::prepared::PreparedBodies;
 use crate::session::{Generation, SessionId};
-use crate::store::{PREPARATION, Shared};
+use crate::store::Shared;
 use crate::tasks::DEFAULT_TOLERANCE;
+use crate::work::PREPARATION;
 use std::sync::{Arc, PoisonError};
 use sutura_core::build::{Artifacts, BuildError, BuildParams, Recipe, remake};
 use sutura_core::control::Control;
@@ -63,7 +64,7 @@ impl Shared {
                 store.follow_up(&session);
                 store.restore_next();
             };
-            match self.builds.submit(PREPARATION, Some(id), run) {
+            match self.builds.submit(Place::new(PREPARATION).apart().in_lane(id), run) {
                 Ok(_) => return,
                 Err(error) => tracing::debug!(session = %id, %error, "not restored ahead"),
             }

@@ -5,6 +5,7 @@
 //! too late leaves those steps out and counts them, so that it neither bursts nor drifts.
 
 use crate::error::StoreError;
+use crate::metrics::Steps;
 use crate::pacing::{Pace, PublishRate};
 use crate::pool::catching;
 use crate::session::Generation;
@@ -317,6 +318,7 @@ struct Running {
 /// Body of a stepping thread.
 fn run(messages: &Receiver<Message>) {
     let epoch = Instant::now();
+    let steps = Steps::new();
     let mut simulations: Vec<Running> = Vec::new();
     loop {
         let next_due = simulations.iter().filter_map(|s| s.pace).map(|pace| pace.due()).min();
@@ -340,8 +342,10 @@ fn run(messages: &Receiver<Message>) {
             let dt_s = simulation.config.params.dt_s;
             let pace = simulation.pace.get_or_insert_with(|| Pace::new(now, dt_s));
             if pace.due() <= now {
+                let delay = now.saturating_sub(pace.due());
                 let n_late = pace.begin_step(now);
                 simulation.guarded(|simulation| simulation.step(n_late));
+                steps.record(n_late, delay, epoch.elapsed().saturating_sub(now));
             }
         }
     }

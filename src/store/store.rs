@@ -3,11 +3,10 @@
 use crate::archive::{Archive, Beginning, Journal};
 use crate::check;
 use crate::config::StoreConfig;
-use crate::control::TaskControl;
 use crate::error::StoreError;
 use crate::event::Event;
-use crate::live::{Leftovers, LiveSession, Owner, Surroundings};
-use crate::pool::{CancelFlag, Class, ClassLimits, Pool};
+use crate::live::{LiveSession, Owner, Surroundings};
+use crate::pool::{Account, CancelFlag, Place, Pool};
 use crate::prepared::PreparedBodies;
 use crate::session::{
     CreateSession, EditRequest, Generation, GenerationRef, MeshSize, SessionId, SessionInfo,
@@ -17,22 +16,14 @@ use crate::simulation::{Frame, GrabConfig, SimulationConfig, SimulationInfo, Ver
 use crate::stepping::{SimulationHandle, SteppingThreads};
 use crate::storage::{Storage, StorageError};
 use crate::tasks::{run_build, run_edit};
+use crate::work::{self, BUILD, EDIT, QUERY, RESTORE};
 use std::collections::BTreeMap;
 use std::ops::Bound;
 use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::{Duration, Instant};
 use sutura_core::build::check_seams;
-use sutura_core::control::Control;
 use sutura_core::reduced::Evaluation;
 use tokio::sync::{broadcast, oneshot};
-
-/// Classes of the build pool: edits go before builds.
-pub(crate) const EDIT: Class = 0;
-pub(crate) const BUILD: Class = 1;
-/// Behind both: what nobody waits for.
-pub(crate) const PREPARATION: Class = 2;
-/// The one class of the query pool.
-const QUERY: Class = 0;
 
 /// How long cancelled work may take to notice before [`Store::shutdown`] goes without it.
 const CANCEL_GRACE: Duration = Duration::from_secs(2);
@@ -43,7 +34,7 @@ const CANCEL_GRACE: Duration = Duration::from_secs(2);
 /// threads; dropping its future cancels the work.
 #[derive(Clone)]
 pub struct Store {
-    shared: Arc<Shared>,
+    pub(crate) shared: Arc<Shared>,
 }
 
 pub(crate) struct Shared {
@@ -52,10 +43,10 @@ pub(crate) struct Shared {
     pub(crate) surroundings: Surroundings,
     pub(crate) prepared: Arc<PreparedBodies>,
     pub(crate) builds: Pool,
-    queries: Pool,
+    pub(crate) queries: Pool,
     pub(crate) stepping: SteppingThreads,
     /// What outlives the process, if anything does.
-    archive: Option<Arc<Archive>>,
+    pub(crate) archive: Option<Arc<Archive>>,
     /// Sessions of earlier processes whose bodies nobody has asked for yet, the next one last.
     pub(crate) to_restore: Mutex<Vec<SessionId>>,
     /// The last name that a session was given.
@@ -71,27 +62,6 @@ pub enum OpenError {
     /// The threads could not be started.
     #[error("cannot start the worker threads: {0}")]
     Threads(#[from] std::io::Error),
-}
-
-/// How busy the store is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Load {
-    /// Sessions.
-    pub n_sessions: usize,
-    /// Simulations, failed ones included.
-    pub n_simulations: usize,
-    /// Builds that wait for a thread.
-    pub n_waiting_builds: usize,
-    /// Builds that run.
-    pub n_running_builds: usize,
-    /// Edits that wait for a thread.
-    pub n_waiting_edits: usize,
-    /// Edits that run.
-    pub n_running_edits: usize,
-    /// Queries that wait for a thread.
-    pub n_waiting_queries: usize,
-    /// Queries that run.
-    pub n_running_queries: usize,
 }
 
 impl Store {
@@ -111,16 +81,6 @@ impl Store {
 
     fn with(config: StoreConfig, archive: Option<Arc<Archive>>) -> std::io::Result<Store> {
         let work = &config.work;
-        let n_build_threads = work.n_build_threads.max(1);
-        let edits = ClassLimits { n_waiting: work.edit_queue_limit, n_running: n_build_threads };
-        let builds = ClassLimits {
-            n_waiting: work.build_queue_limit,
-            // One thread is left to edits, which somebody waits for.
-            n_running: (n_build_threads - 1).max(1),
-        };
-        let preparations = ClassLimits { n_waiting: work.build_queue_limit, n_running: 1 };
-        let n_query_threads = work.n_query_threads.max(1);
-        let queries = ClassLimits { n_waiting: work.query_queue_limit, n_running: n_query_threads };
         let surroundings = Surroundings {
             events_of_all: broadcast::Sender::new(work.event_backlog.max(1)),
             event_backlog: work.event_backlog.max(1),
@@ -132,8 +92,8 @@ impl Store {
             sessions: RwLock::default(),
             surroundings,
             prepared: Arc::default(),
-            builds: Pool::start("build", n_build_threads, vec![edits, builds, preparations])?,
-            queries: Pool::start("query", n_query_threads, vec![queries])?,
+            builds: work::builds(work)?,
+            queries: work::queries(work)?,
             stepping: SteppingThreads::start(work.n_stepping_threads, work.stepping_queue_limit)?,
             archive,
             to_restore: Mutex::default(),
@@ -148,42 +108,11 @@ impl Store {
         &self.shared.config
     }
 
-    /// How busy the store is now.
-    pub fn load(&self) -> Load {
-        let of = |pool: &Pool, class: Class| pool.load().get(class).copied().unwrap_or_default();
-        let (n_waiting_edits, n_running_edits) = of(&self.shared.builds, EDIT);
-        let (n_waiting_builds, n_running_builds) = of(&self.shared.builds, BUILD);
-        let (n_waiting_queries, n_running_queries) = of(&self.shared.queries, QUERY);
-        Load {
-            n_sessions: self.n_sessions(),
-            n_simulations: self.shared.stepping.n_simulations(),
-            n_waiting_builds,
-            n_running_builds,
-            n_waiting_edits,
-            n_running_edits,
-            n_waiting_queries,
-            n_running_queries,
-        }
-    }
-
-    /// Runs what writes to the storage where blocking holds up nobody. Once begun it runs to its end, even
-    /// if the caller goes away.
-    async fn keep<T: Send + 'static>(
-        &self,
-        what: &'static str,
-        job: impl FnOnce(&Store) -> Result<T, StoreError> + Send + 'static,
-    ) -> Result<T, StoreError> {
-        if self.shared.archive.is_none() {
-            return job(self);
-        }
-        let store = self.clone();
-        self.shared.queries.run(QUERY, None, what, move |_| job(&store)).await
-    }
-
     /// Opens a session and queues its build.
     pub async fn create(&self, request: CreateSession) -> Result<SessionId, StoreError> {
         check::create(&request, &self.shared.config.limits)?;
-        self.keep("opening a session", move |store| store.create_now(request)).await
+        let account = Account::of(request.tenant.as_deref());
+        self.keep(account, "opening a session", move |store| store.create_now(request)).await
     }
 
     fn create_now(&self, request: CreateSession) -> Result<SessionId, StoreError> {
@@ -214,7 +143,8 @@ impl Store {
                 store.follow_up(&session);
             }
         };
-        self.insert_whole(session, || shared.builds.submit(BUILD, Some(id), task).map(drop))?;
+        let place = Place::new(BUILD).in_lane(id).charged_to(session.account());
+        self.insert_whole(session, || shared.builds.submit(place, task).map(drop))?;
         Ok(id)
     }
 
@@ -241,6 +171,11 @@ impl Store {
     /// Whose the session is; `None` if it was opened where nobody was asked.
     pub fn tenant(&self, id: SessionId) -> Result<Option<String>, StoreError> {
         Ok(self.session(id)?.tenant().map(str::to_owned))
+    }
+
+    /// Whose turns the session's work takes.
+    pub fn account(&self, id: SessionId) -> Result<Account, StoreError> {
+        Ok(self.session(id)?.account())
     }
 
     /// At most `limit` sessions in the order of creation, beginning behind `after`.
@@ -299,7 +234,8 @@ impl Store {
 
     /// Ends a session with everything that runs for it, for good.
     pub async fn delete(&self, id: SessionId) -> Result<(), StoreError> {
-        self.keep("deleting a session", move |store| store.delete_now(id)).await
+        let account = self.account(id)?;
+        self.keep(account, "deleting a session", move |store| store.delete_now(id)).await
     }
 
     fn delete_now(&self, id: SessionId) -> Result<(), StoreError> {
@@ -322,7 +258,8 @@ impl Store {
             check::name(name, &self.shared.config.limits)?;
         }
         self.wake(id).await?;
-        self.keep("forking a session", move |store| store.fork_now(id, name)).await
+        self.keep(self.account(id)?, "forking a session", move |store| store.fork_now(id, name))
+            .await
     }
 
     fn fork_now(&self, id: SessionId, name: Option<String>) -> Result<SessionId, StoreError> {
@@ -359,24 +296,29 @@ impl Store {
         request: EditRequest,
     ) -> Result<Arc<Generation>, StoreError> {
         let shared = &self.shared;
+        let arrived = Instant::now();
         let session = self.session(id)?;
-        session.touch();
         check::edit(&request, &shared.config.limits)?;
+        self.wake(id).await?;
         session.check_editable(request.base_generation)?;
         let (reply, answer) = oneshot::channel();
         let store = Arc::downgrade(shared);
         let config = shared.config.clone();
         // What is being improved is about to change.
         session.cancel_improvement();
-        let ticket = shared.builds.submit(EDIT, Some(id), move |cancel| {
+        let place = Place::new(EDIT).in_lane(id).charged_to(session.account());
+        let ticket = shared.builds.submit(place, move |cancel| {
             let Some(store) = store.upgrade() else { return };
+            // The caller's time began when the request came.
+            let deadline = request.deadline.map(|time| time.saturating_sub(arrived.elapsed()));
+            let request = EditRequest { deadline, ..request };
             let bring_back = || store.restore(&session, cancel);
             let admits = |n_bytes: usize| store.make_room(n_bytes, id);
             run_edit(&session, &request, &config, cancel, reply, bring_back, &admits);
             store.follow_up(&session);
         })?;
-        let _guard = ticket.cancel_on_drop();
-        shared.builds.answer(answer).await
+        let ticket = ticket.cancel_on_drop();
+        ticket.answer(answer).await
     }
 
     /// Names candidate pairs: they are prepared in the background, for this base body and those that
@@ -388,7 +330,8 @@ impl Store {
         pairs: Vec<[u32; 2]>,
     ) -> Result<usize, StoreError> {
         self.wake(id).await?;
-        self.keep("naming seams", move |store| store.add_seams_now(id, &pairs)).await
+        self.keep(self.account(id)?, "naming seams", move |store| store.add_seams_now(id, &pairs))
+            .await
     }
 
     fn add_seams_now(&self, id: SessionId, pairs: &[[u32; 2]]) -> Result<usize, StoreError> {
@@ -417,13 +360,14 @@ impl Store {
         let (reply, answer) = oneshot::channel();
         let store = Arc::downgrade(&self.shared);
         // Not cancelled when the caller goes: others wait for it too.
-        self.shared.builds.submit(EDIT, Some(id), move |cancel| {
+        let place = Place::new(RESTORE).in_lane(id).charged_to(session.account());
+        let ticket = self.shared.builds.submit(place, move |cancel| {
             if let Some(store) = store.upgrade() {
                 let _ = reply.send(store.restore(&session, cancel));
                 store.follow_up(&session);
             }
         })?;
-        self.shared.builds.answer(answer).await
+        ticket.answer(answer).await
     }
 
     /// A generation of a session whose body may have to be restored for it.
@@ -472,18 +416,8 @@ impl Store {
             }
             Ok(evaluations)
         };
-        self.shared.queries.run(QUERY, None, "the evaluation", evaluate_all).await
-    }
-
-    /// Runs `job` on the query pool: for anything longer than half a millisecond that belongs to a
-    /// request (parsing a mesh, assembling an array). `what` names it in the log if it panics.
-    pub async fn compute<T: Send + 'static>(
-        &self,
-        what: &'static str,
-        job: impl FnOnce(&dyn Control) -> T + Send + 'static,
-    ) -> Result<T, StoreError> {
-        let run = move |cancel: &CancelFlag| Ok(job(&TaskControl::silent(cancel)));
-        self.shared.queries.run(QUERY, None, what, run).await
+        let place = Place::new(QUERY).charged_to(self.account(id)?);
+        self.shared.queries.run(place, "the evaluation", evaluate_all).await
     }
 
     /// Starts the session's simulation at rest, or changes how the running one goes on. Obstacles are there
@@ -496,7 +430,8 @@ impl Store {
         check::simulation(&config, &self.shared.config.limits)?;
         self.wake(id).await?;
         let has_obstacles = !config.obstacles.is_empty();
-        let keep = self.keep("starting a simulation", move |store| {
+        let account = self.account(id)?;
+        let keep = self.keep(account.clone(), "starting a simulation", move |store| {
             let session = store.session(id)?;
             let before = session.simulation().ok().map(|simulation| simulation.info().config);
             if let Some(journal) = &session.journal {
@@ -511,7 +446,7 @@ impl Store {
         let handle = keep.await?;
         if has_obstacles {
             let handle = handle.clone();
-            self.compute("the surface", move |_| handle.update_surface()).await?;
+            self.compute(account, "the surface", move |_| handle.update_surface()).await?;
         }
         Ok(handle.info())
     }
@@ -525,7 +460,7 @@ impl Store {
     /// Ends the session's simulation.
     pub async fn stop_simulation(&self, id: SessionId) -> Result<(), StoreError> {
         self.wake(id).await?;
-        self.keep("ending a simulation", move |store| {
+        self.keep(self.account(id)?, "ending a simulation", move |store| {
             let session = store.session(id)?;
             session.simulation()?;
             if let Some(journal) = &session.journal {
@@ -648,11 +583,6 @@ impl Store {
             journal.delete()?;
         }
         inserted
-    }
-
-    /// Frees large memory on a worker; here and now if none has time.
-    fn drop_later(&self, leftovers: Leftovers) {
-        drop(self.shared.queries.submit(QUERY, None, move |_| drop(leftovers)));
     }
 }
 

@@ -2,7 +2,8 @@
 
 mod interaction;
 
-use crate::store::{BUILD, EDIT};
+use crate::pool::{Account, Place};
+use crate::work::{BUILD, EDIT};
 use crate::{
     ContactConfig, CreateSession, EditRequest, Event, EventKind, Frame, Generation, GenerationRef,
     InputError, Limits, SessionId, SessionState, SimulationConfig, Store, StoreConfig, StoreError,
@@ -157,11 +158,17 @@ fn occupy(store: &Store, class: usize, n: usize) -> Vec<mpsc::Sender<()>> {
             began.send(()).unwrap();
             let _ = released.recv();
         };
-        store.builds().submit(class, None, wait).map(drop).unwrap();
+        store.builds().submit(Place::new(class), wait).map(drop).unwrap();
         begin.recv().unwrap();
         release
     });
     occupied.collect()
+}
+
+/// Tasks of a kind that wait for a thread.
+fn n_waiting(store: &Store, kind: &str) -> usize {
+    let tasks = store.load().tasks;
+    tasks.iter().filter(|tasks| tasks.kind == kind).map(|tasks| tasks.n_waiting).sum()
 }
 
 /// Polls once, as a runtime would before something else happens.
@@ -349,7 +356,7 @@ async fn a_full_queue_sheds_and_adds_no_session() {
     store.create(create_bars()).await.unwrap();
     let refused = store.create(create_bars()).await;
     assert!(matches!(refused, Err(StoreError::Busy { retry_after_s: 1.. })));
-    assert_eq!((store.n_sessions(), store.load().n_waiting_builds), (1, 1));
+    assert_eq!((store.n_sessions(), n_waiting(&store, "build")), (1, 1));
 }
 
 #[tokio::test]
@@ -373,9 +380,9 @@ async fn an_edit_nobody_waits_for_is_cancelled() {
     {
         let mut edit = pin!(store.edit(id, stitch(&seam())));
         poll_once(edit.as_mut());
-        assert_eq!(store.load().n_waiting_edits, 1);
+        assert_eq!(n_waiting(&store, "edit"), 1);
     }
-    assert_eq!(store.load().n_waiting_edits, 0);
+    assert_eq!(n_waiting(&store, "edit"), 0);
     drop(busy);
     // The next edit finds the session as it was.
     assert_eq!(store.edit(id, stitch(&seam()[..1])).await.unwrap().number, 1);
@@ -394,7 +401,7 @@ async fn deleting_a_session_cancels_its_build_and_ends_its_subscriptions() {
     });
     tokio::task::yield_now().await;
     store.delete(id).await.unwrap();
-    assert_eq!(store.load().n_waiting_builds, 0);
+    assert_eq!(n_waiting(&store, "build"), 0);
     assert_eq!(next_event(&mut events).await, EventKind::Deleted);
     assert_eq!(events.recv().await, Err(RecvError::Closed));
     assert_eq!(frames.recv().await, Err(RecvError::Closed));
@@ -407,7 +414,8 @@ async fn deleting_a_session_stops_the_build_that_runs() {
     let store = store();
     let id = store.create(create_bars()).await.unwrap();
     store.delete(id).await.unwrap();
-    while store.load().n_running_builds + store.load().n_waiting_builds > 0 {
+    let is_busy = || store.load().tasks.iter().any(|t| t.n_waiting + t.n_running > 0);
+    while is_busy() {
         tokio::task::yield_now().await;
     }
     assert_eq!(store.n_sessions(), 0);
@@ -416,9 +424,10 @@ async fn deleting_a_session_stops_the_build_that_runs() {
 #[tokio::test]
 async fn a_panic_is_reported_and_does_no_harm() {
     let store = store();
-    let failed: Result<(), StoreError> = store.compute("the test", |_| panic!("on purpose")).await;
+    let failed: Result<(), StoreError> =
+        store.compute(Account::Common, "the test", |_| panic!("on purpose")).await;
     assert!(matches!(failed, Err(StoreError::Failed { what: "the test" })));
-    assert_eq!(store.compute("the test", |_| 7).await.unwrap(), 7);
+    assert_eq!(store.compute(Account::Common, "the test", |_| 7).await.unwrap(), 7);
 }
 
 #[tokio::test]
@@ -658,7 +667,10 @@ async fn shutting_down_refuses_new_work_and_releases_whoever_waits() {
     drop(busy);
     assert!(store.shutdown(PATIENCE).await);
     assert!(matches!(store.create(create_bars()).await, Err(StoreError::ShuttingDown)));
-    assert!(matches!(store.compute("nothing", |_| ()).await, Err(StoreError::ShuttingDown)));
+    assert!(matches!(
+        store.compute(Account::Common, "nothing", |_| ()).await,
+        Err(StoreError::ShuttingDown)
+    ));
     store.wait_ready(id, PATIENCE).await.unwrap();
     while events.recv().await.is_ok() {}
 }

@@ -9,7 +9,7 @@ use crate::problem::{Kind, Problem};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use sutura_store::{SessionId, StoreError};
+use sutura_store::{Account, SessionId, StoreError};
 
 /// What the keys of a daemon begin with, so that a key is known for one wherever it turns up.
 const PREFIX: &str = "sutura_";
@@ -139,8 +139,13 @@ pub(crate) struct Caller {
 
 impl Caller {
     /// Whose sessions they see and open; `None`: everybody's, and nobody's.
-    pub(crate) fn tenant(&self) -> Option<&str> {
-        self.grant.as_ref().map(|grant| &*grant.tenant)
+    pub(crate) fn tenant(&self) -> Option<&Arc<str>> {
+        self.grant.as_ref().map(|grant| &grant.tenant)
+    }
+
+    /// Whose turns their requests take, as long as they are for no session.
+    pub(crate) fn account(&self) -> Account {
+        Account::of(self.tenant().map(|tenant| &**tenant))
     }
 
     /// Refuses those whose role is not enough.
@@ -158,7 +163,7 @@ impl Caller {
     pub(crate) fn check_session(&self, gateway: &Gateway, id: SessionId) -> Result<(), Problem> {
         let Some(tenant) = self.tenant() else { return Ok(()) };
         match gateway.store().tenant(id)?.as_deref() {
-            Some(owner) if owner == tenant => Ok(()),
+            Some(owner) if owner == &**tenant => Ok(()),
             _ => Err(StoreError::NoSession(id).into()),
         }
     }
@@ -171,7 +176,7 @@ mod tests {
     #[test]
     fn without_keys_everybody_is_let_in() {
         let caller = Keyring::default().identify(None).unwrap();
-        assert_eq!(caller.tenant(), None);
+        assert!(caller.tenant().is_none());
         caller.check_role(Role::Admin).unwrap();
         // But not where the last key has been revoked.
         let nobody = Keyring::from_iter([]);
@@ -184,7 +189,7 @@ mod tests {
         let grant = Grant { tenant: "a".into(), role: Role::Edit };
         let keyring: Keyring = [(hash(&mine), grant)].into_iter().collect();
         let caller = keyring.identify(Some(&mine)).unwrap();
-        assert_eq!(caller.tenant(), Some("a"));
+        assert_eq!(caller.tenant().map(|tenant| &**tenant), Some("a"));
         caller.check_role(Role::Read).unwrap();
         caller.check_role(Role::Edit).unwrap();
         assert_eq!(caller.check_role(Role::Admin).unwrap_err().status(), 403);

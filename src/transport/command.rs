@@ -15,7 +15,7 @@ use sutura_proto::generation::{
 };
 use sutura_proto::session::{SeamReply, SeamRequest, SessionInfo};
 use sutura_proto::simulation::{ForceRequest, GrabRequest};
-use sutura_store::{Generation, GenerationRef, SessionId};
+use sutura_store::{Account, Generation, GenerationRef, SessionId};
 
 /// What a client wrote, quoted and cut to what fits into a sentence.
 fn shown(text: &str) -> String {
@@ -49,13 +49,14 @@ const PARSE_AT_ONCE_BYTES: usize = 32 << 10;
 /// Runs `parse` on a document of `n_bytes`, on the query pool if it is large.
 pub(crate) async fn parse<T: Send + 'static>(
     gateway: &Gateway,
+    account: Account,
     n_bytes: usize,
     parse: impl FnOnce() -> Result<T, Problem> + Send + 'static,
 ) -> Result<T, Problem> {
     if n_bytes <= PARSE_AT_ONCE_BYTES {
         return parse();
     }
-    gateway.store().compute("parsing a document", move |_| parse()).await?
+    gateway.store().compute(account, "parsing a document", move |_| parse()).await?
 }
 
 /// What is known of a session now.
@@ -86,9 +87,9 @@ pub(crate) async fn create(
     let limits = MeshLimits { max_vertices: limits.max_vertices, max_tets: limits.max_tets };
     let mut request = gateway
         .store()
-        .compute("reading a mesh", move |_| session::create(upload, &limits))
+        .compute(caller.account(), "reading a mesh", move |_| session::create(upload, &limits))
         .await??;
-    request.tenant = caller.tenant().map(str::to_owned);
+    request.tenant = caller.tenant().map(|tenant| tenant.to_string());
     Ok(gateway.store().create(request).await?)
 }
 
@@ -159,7 +160,8 @@ pub(crate) async fn array(
     let job = move |control: &dyn sutura_core::control::Control| {
         array::encode(kind, &generation, reference.as_deref(), &params.blocks, form, control)
     };
-    gateway.store().compute("assembling an array", job).await?
+    let account = gateway.store().account(id)?;
+    gateway.store().compute(account, "assembling an array", job).await?
 }
 
 /// Whether `blocks` name some where that is wanted, and none elsewhere.

@@ -1,11 +1,13 @@
 //! What both transports share: the store, the limits, and the signal to wind down.
 
-use crate::access::Keyring;
+use crate::access::{Caller, Keyring};
 use crate::limits::Limits;
 use crate::metrics;
 use crate::problem::{Kind, Problem};
+use crate::rate::Rates;
 use metrics_exporter_prometheus::PrometheusHandle;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 use sutura_store::Store;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
@@ -19,10 +21,12 @@ struct Inner {
     store: Store,
     limits: Limits,
     recorder: PrometheusHandle,
+    rates: Rates,
     requests: Arc<Semaphore>,
     uploads: Arc<Semaphore>,
     streams: Arc<Semaphore>,
     winding_down: watch::Sender<bool>,
+    tenants: Mutex<metrics::Tenants>,
     keys: watch::Sender<Arc<Keyring>>,
 }
 
@@ -30,10 +34,12 @@ impl Gateway {
     /// Opens `store` to clients within `limits`; `recorder` renders `/metrics`.
     pub fn new(store: Store, limits: Limits, recorder: PrometheusHandle) -> Gateway {
         let inner = Inner {
+            rates: Rates::new(limits.max_requests_per_s, limits.max_request_burst),
             requests: Arc::new(Semaphore::new(limits.max_requests)),
             uploads: Arc::new(Semaphore::new(limits.max_uploads)),
             streams: Arc::new(Semaphore::new(limits.max_streams)),
             winding_down: watch::Sender::new(false),
+            tenants: Mutex::default(),
             keys: watch::Sender::default(),
             store,
             limits,
@@ -71,6 +77,12 @@ impl Gateway {
         &self.inner.recorder
     }
 
+    /// Records what takes up memory now; for a thread that may take its time.
+    pub(crate) fn measure_memory(&self) {
+        let mut tenants = self.inner.tenants.lock().unwrap_or_else(PoisonError::into_inner);
+        tenants.memory(self.store());
+    }
+
     /// Says goodbye: `/readyz` turns to 503 and streams end, so that their connections can close.
     /// Requests under way are still answered.
     pub fn wind_down(&self) {
@@ -94,6 +106,20 @@ impl Gateway {
         if tokio::time::timeout(self.inner.limits.max_send_wait, all).await.is_err() {
             tracing::warn!("streams were cut off");
         }
+    }
+
+    /// Whoever shows `key`, unless they come too often.
+    pub(crate) fn let_in(&self, key: Option<&str>) -> Result<Caller, Problem> {
+        let caller = self.keys().identify(key);
+        // Those without a valid key count together.
+        let tenant = caller.as_ref().ok().and_then(Caller::tenant);
+        self.inner.rates.take(tenant, Instant::now()).map_err(|wait| {
+            metrics::shed("rate");
+            let per_s = self.limits().max_requests_per_s;
+            Problem::new(Kind::TooOften, format!("more than {per_s} requests a second"))
+                .retry_after(wait.as_secs_f64().ceil().max(1.0) as u64)
+        })?;
+        caller
     }
 
     /// One of the places for requests under way.

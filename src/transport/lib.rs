@@ -30,6 +30,7 @@ mod limits;
 mod metrics;
 mod offline;
 mod problem;
+mod rate;
 #[cfg(feature = "testing")]
 pub mod testing;
 #[cfg(test)]

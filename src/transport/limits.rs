@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 /// Bounds on what clients may ask of the transports.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Limits {
     /// Largest uploaded mesh file, in bytes.
     pub max_mesh_bytes: usize,
@@ -12,6 +12,13 @@ pub struct Limits {
     pub max_inline_mesh_bytes: usize,
     /// Largest other JSON or bincode document, in bytes.
     pub max_document_bytes: usize,
+    /// Requests a second in the long run from one tenant (or, without keys, from all together), over HTTP
+    /// and Zenoh; beyond, they are refused with 429.
+    pub max_requests_per_s: f64,
+    /// Requests at once that are let in whatever the rate.
+    pub max_request_burst: usize,
+    /// HTTP connections open at the same time; further ones wait to be accepted.
+    pub max_connections: usize,
     /// Requests answered at the same time over HTTP; beyond, requests are shed with 503.
     pub max_requests: usize,
     /// Uploads received and parsed at the same time: each may hold `max_mesh_bytes` of memory.
@@ -44,6 +51,9 @@ impl Default for Limits {
             max_mesh_bytes: 512 << 20,
             max_inline_mesh_bytes: 128 << 20,
             max_document_bytes: 8 << 20,
+            max_requests_per_s: 2000.0,
+            max_request_burst: 4000,
+            max_connections: 1024,
             max_requests: 256,
             max_uploads: 4,
             max_upload_queue_wait: Duration::from_secs(2),

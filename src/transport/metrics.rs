@@ -2,8 +2,11 @@
 
 use crate::conversion::edit::method_name;
 use metrics_exporter_prometheus::{BuildError, Matcher, PrometheusBuilder, PrometheusHandle};
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
-use sutura_store::{Event, EventKind, Generation, GenerationRef, Load, SessionState, Store};
+use sutura_store::{
+    Event, EventKind, Generation, GenerationRef, Load, SessionState, Store, TaskLoad,
+};
 use tokio::sync::broadcast::error::RecvError;
 
 /// Upper bounds of the duration histograms' buckets, in s: from one reduced evaluation to a long
@@ -20,6 +23,7 @@ pub fn install_recorder() -> Result<PrometheusHandle, BuildError> {
         .set_buckets_for_metric(Matcher::Suffix("_seconds".into()), &SECONDS_BUCKETS)?
         .install_recorder()?;
     describe();
+    sutura_store::describe_metrics();
     Ok(handle)
 }
 
@@ -33,16 +37,23 @@ pub(crate) async fn upkeep(handle: PrometheusHandle) {
 }
 
 fn describe() {
-    use metrics::{Unit::Seconds, describe_counter, describe_gauge, describe_histogram};
+    use metrics::{
+        Unit::Bytes, Unit::Seconds, describe_counter, describe_gauge, describe_histogram,
+    };
     describe_histogram!(HTTP_REQUEST, Seconds, "HTTP requests by method, route and status");
     describe_histogram!(BUS_QUERY, Seconds, "Zenoh queries by resource and status");
-    describe_counter!(SHED, "Requests refused because a limit was reached, by limit");
     describe_histogram!(EDIT_STAGE, Seconds, "Time in each stage of an edit, by method");
     describe_histogram!(BUILD_STAGE, Seconds, "Time in each stage of a body's first build");
     describe_counter!(BUILDS, "Builds ended, by outcome");
     describe_gauge!(SESSIONS, "Sessions held");
     describe_gauge!(SIMULATIONS, "Simulations running");
-    describe_gauge!(TASKS, "Builds, edits and queries of the store, by state");
+    describe_gauge!(TASKS, "Work of the store that waits and that runs, by kind");
+    describe_gauge!(
+        BODIES,
+        Bytes,
+        "Memory of all bodies, by tenant; what they share is counted once"
+    );
+    describe_gauge!(PROCESS, Bytes, "Resident memory of the process");
     describe_gauge!(STREAMS, "Open streams, by kind");
     describe_counter!(FRAMES_SENT, "State frames handed to a transport");
     describe_counter!(FRAMES_DROPPED, "State frames that a slow reader lost");
@@ -57,6 +68,8 @@ const BUILDS: &str = "sutura_builds_total";
 const SESSIONS: &str = "sutura_sessions";
 const SIMULATIONS: &str = "sutura_simulations";
 const TASKS: &str = "sutura_tasks";
+const BODIES: &str = "sutura_body_bytes";
+const PROCESS: &str = "process_resident_memory_bytes";
 const STREAMS: &str = "sutura_streams";
 const FRAMES_SENT: &str = "sutura_frames_sent_total";
 const FRAMES_DROPPED: &str = "sutura_frames_dropped_total";
@@ -92,16 +105,50 @@ fn build_ended(outcome: &'static str) {
 pub(crate) fn load(load: Load) {
     metrics::gauge!(SESSIONS).set(load.n_sessions as f64);
     metrics::gauge!(SIMULATIONS).set(load.n_simulations as f64);
-    for (kind, state, count) in [
-        ("build", "waiting", load.n_waiting_builds),
-        ("build", "running", load.n_running_builds),
-        ("edit", "waiting", load.n_waiting_edits),
-        ("edit", "running", load.n_running_edits),
-        ("query", "waiting", load.n_waiting_queries),
-        ("query", "running", load.n_running_queries),
-    ] {
-        metrics::gauge!(TASKS, "kind" => kind, "state" => state).set(count as f64);
+    for TaskLoad { kind, n_waiting, n_running } in load.tasks {
+        for (state, count) in [("waiting", n_waiting), ("running", n_running)] {
+            metrics::gauge!(TASKS, "kind" => kind, "state" => state).set(count as f64);
+        }
     }
+}
+
+/// Tenants whose memory is shown one by one: the first that there are.
+const MAX_TENANTS: usize = 32;
+
+/// The tenants whose memory is shown one by one.
+#[derive(Debug, Default)]
+pub(crate) struct Tenants(BTreeSet<String>);
+
+impl Tenants {
+    /// Records what takes up memory now. Takes some time.
+    pub(crate) fn memory(&mut self, store: &Store) {
+        let mut by_tenant: BTreeMap<String, usize> = BTreeMap::new();
+        for (tenant, n_bytes) in store.memory() {
+            by_tenant.insert(tenant.unwrap_or_default(), n_bytes);
+        }
+        for tenant in by_tenant.keys() {
+            if self.0.len() < MAX_TENANTS {
+                self.0.insert(tenant.clone());
+            }
+        }
+        for tenant in &self.0 {
+            let n_bytes = by_tenant.remove(tenant).unwrap_or_default();
+            metrics::gauge!(BODIES, "tenant" => tenant.clone()).set(n_bytes as f64);
+        }
+        let rest: usize = by_tenant.values().sum();
+        metrics::gauge!(BODIES, "tenant" => "(all others)").set(rest as f64);
+        if let Some(n_bytes) = resident_bytes() {
+            metrics::gauge!(PROCESS).set(n_bytes);
+        }
+    }
+}
+
+/// Memory of this process that is resident; only Linux says it.
+fn resident_bytes() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    let kib: f64 = line.split_whitespace().next()?.parse().ok()?;
+    Some(kib * 1024.0)
 }
 
 pub(crate) fn frame_sent(transport: &'static str) {

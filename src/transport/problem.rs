@@ -36,6 +36,7 @@ pub(crate) enum Kind {
     ImpossibleSimulation,
     UpgradeRequired,
     Full,
+    TooOften,
     Internal,
     Damaged,
     Busy,
@@ -46,7 +47,7 @@ pub(crate) enum Kind {
 
 impl Kind {
     #[cfg(test)]
-    pub(crate) const ALL: [Kind; 31] = [
+    pub(crate) const ALL: [Kind; 32] = [
         Kind::MalformedDocument,
         Kind::MalformedMesh,
         Kind::MalformedParameter,
@@ -72,6 +73,7 @@ impl Kind {
         Kind::ImpossibleSimulation,
         Kind::UpgradeRequired,
         Kind::Full,
+        Kind::TooOften,
         Kind::Internal,
         Kind::Damaged,
         Kind::Busy,
@@ -110,6 +112,7 @@ impl Kind {
             Kind::ImpossibleSimulation => (422, "impossible-simulation", "Impossible simulation"),
             Kind::UpgradeRequired => (426, "upgrade-required", "WebSocket upgrade required"),
             Kind::Full => (429, "full", "As many as allowed exist"),
+            Kind::TooOften => (429, "too-often", "Too many requests"),
             Kind::Internal => (500, "internal", "Internal error"),
             Kind::Damaged => (410, "damaged-data", "Kept data is damaged"),
             Kind::Busy => (503, "busy", "Too busy"),

@@ -1,6 +1,6 @@
 //! `[traffic]`: what clients may ask of the transports. Meanings: [`sutura_transport::Limits`].
 
-use super::bounds::{bytes, count, seconds};
+use super::bounds::{bytes, count, positive, seconds};
 use serde::Deserialize;
 use std::time::Duration;
 
@@ -17,6 +17,12 @@ pub(super) struct Traffic {
     max_inline_mesh_bytes: usize,
     #[serde(deserialize_with = "bytes")]
     max_document_bytes: usize,
+    #[serde(deserialize_with = "positive")]
+    max_requests_per_s: f64,
+    #[serde(deserialize_with = "count")]
+    max_request_burst: usize,
+    #[serde(deserialize_with = "count")]
+    max_connections: usize,
     #[serde(deserialize_with = "count")]
     max_requests: usize,
     #[serde(deserialize_with = "count")]

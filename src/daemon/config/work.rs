@@ -23,6 +23,10 @@ pub(super) struct Work {
     edit_queue_limit: usize,
     #[serde(deserialize_with = "queue")]
     query_queue_limit: usize,
+    #[serde(rename = "max_edit_wait_s", deserialize_with = "seconds")]
+    max_edit_wait: Duration,
+    #[serde(rename = "max_query_wait_s", deserialize_with = "seconds")]
+    max_query_wait: Duration,
     #[serde(deserialize_with = "queue")]
     stepping_queue_limit: usize,
     #[serde(deserialize_with = "queue")]

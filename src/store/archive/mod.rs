@@ -12,6 +12,7 @@ pub(crate) mod frame;
 pub(crate) mod record;
 
 use crate::error::StoreError;
+use crate::metrics;
 use crate::session::{Generation, MeshSize, SessionId};
 use crate::simulation::SimulationConfig;
 use crate::storage::{Storage, StorageError};
@@ -22,7 +23,7 @@ use record::{
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
-use std::time::SystemTime;
+use std::time::{Instant, SystemTime};
 use sutura_core::build::BuildParams;
 use sutura_core::mesh::TetMesh;
 
@@ -399,7 +400,9 @@ impl Journal {
         if tail.is_deleted {
             return Err(StoreError::NoSession(self.id));
         }
+        let begun = Instant::now();
         self.archive.storage.append(&journal_name(self.id), tail.end, &bytes)?;
+        metrics::journal_written(begun.elapsed());
         tail.end += bytes.len() as u64;
         tail.n_generations += usize::from(matches!(record, Record::Generation(_)));
         Ok(())

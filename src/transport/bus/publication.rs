@@ -1,6 +1,6 @@
 //! What the daemon says unasked (states, generations) and the forces it hears.
 
-use super::query::{Form, identify, json};
+use super::query::{Form, attachment, json};
 use crate::access::Role;
 use crate::command;
 use crate::conversion::{event, simulation};
@@ -9,9 +9,10 @@ use crate::metrics;
 use crate::problem::{Kind, Problem};
 use std::collections::HashMap;
 use std::sync::Arc;
+use sutura_proto::bus::Attachment;
 use sutura_proto::keys::{self, Resource};
 use sutura_proto::media;
-use sutura_store::{EventKind, Frame, GenerationRef, SessionId};
+use sutura_store::{Account, EventKind, Frame, GenerationRef, SessionId};
 use tokio::sync::broadcast::{self, error::RecvError};
 use tokio::task::{AbortHandle, JoinSet};
 use zenoh::handlers::{RingChannel, RingChannelHandler};
@@ -174,7 +175,13 @@ async fn publish_generation(
 pub(super) async fn hear(gateway: Gateway, subscriber: PullSubscriber) {
     while let Ok(sample) = subscriber.recv_async().await {
         if let Err(problem) = pull(&gateway, &sample).await {
-            tracing::warn!(key = %sample.key_expr(), problem.detail, "forces were refused");
+            match problem.kind {
+                // Counted already, and there may be very many.
+                Kind::TooOften => {}
+                _ => {
+                    tracing::warn!(key = %sample.key_expr(), problem.detail, "forces were refused");
+                }
+            }
         }
     }
 }
@@ -199,16 +206,18 @@ async fn pull(gateway: &Gateway, sample: &Sample) -> Result<(), Problem> {
         .ok_or_else(|| Problem::new(Kind::MalformedParameter, "forces are for one session"))?;
     let id = command::session_id(id)?;
     let form = Form::of(Some(sample.encoding()))?;
-    let caller = identify(gateway, sample.attachment())?;
+    let Attachment { key, .. } = attachment(sample.attachment());
+    let caller = gateway.let_in(key.as_deref())?;
     caller.check_role(Role::Edit)?;
     caller.check_session(gateway, id)?;
+    let account = gateway.store().account(id).unwrap_or(Account::Common);
     match resource {
         Resource::Grabs => {
-            let request = form.parse(gateway, Some(sample.payload())).await?;
+            let request = form.parse(gateway, account, Some(sample.payload())).await?;
             command::grab(gateway, id, request)
         }
         _ => {
-            let request = form.parse(gateway, Some(sample.payload())).await?;
+            let request = form.parse(gateway, account, Some(sample.payload())).await?;
             command::push_forces(gateway, id, request)
         }
     }

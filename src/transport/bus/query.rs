@@ -14,10 +14,12 @@ use std::sync::Arc;
 use std::time::Instant;
 use sutura_proto::generation::PARAMETER_GENERATION;
 use sutura_proto::keys::{self, Resource};
-use sutura_proto::{bus, media};
-use sutura_store::{GenerationRef, SessionId};
+use sutura_proto::{bus, bus::Attachment, media};
+use sutura_store::{Account, GenerationRef, SessionId};
 use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
+use tracing::Instrument;
+use uuid::Uuid;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
@@ -81,7 +83,7 @@ pub(super) async fn declare(gateway: &Gateway, zenoh_session: &Session) -> zenoh
                 });
             } else if let Ok(place) = Arc::clone(&refusals).try_acquire_owned() {
                 runtime.spawn(async move {
-                    reply(query, Err(shed("queries"))).await;
+                    reply(query, Err(shed("queries")), None).await;
                     drop(place);
                 });
             }
@@ -93,10 +95,9 @@ pub(super) async fn declare(gateway: &Gateway, zenoh_session: &Session) -> zenoh
     Ok(Queries { queryables, places, n_places })
 }
 
-/// Whoever shows the key in this attachment.
-pub(super) fn identify(gateway: &Gateway, key: Option<&ZBytes>) -> Result<Caller, Problem> {
-    let key = key.map(|key| key.to_bytes());
-    gateway.keys().identify(key.as_ref().and_then(|key| std::str::from_utf8(key).ok()))
+/// What an attachment says.
+pub(super) fn attachment(bytes: Option<&ZBytes>) -> Attachment {
+    bytes.map(|bytes| Attachment::decode(&bytes.to_bytes())).unwrap_or_default()
 }
 
 /// What goes back under one key.
@@ -106,14 +107,28 @@ struct Answer {
     payload: Vec<u8>,
 }
 
+/// Answers a query, which is called by its sender's name, or by a new one.
 async fn serve(gateway: &Gateway, resource: Resource, query: Query) {
+    let Attachment { key, request_id } = attachment(query.attachment());
+    let request_id = request_id.unwrap_or_else(|| Uuid::now_v7().simple().to_string());
+    let span = tracing::info_span!("query", key = %query.key_expr(), request_id);
+    answered(gateway, resource, query, key.as_deref(), request_id).instrument(span).await;
+}
+
+async fn answered(
+    gateway: &Gateway,
+    resource: Resource,
+    query: Query,
+    shown: Option<&str>,
+    request_id: String,
+) {
     let begun = Instant::now();
-    let answers = answer(gateway, resource, &query).await;
+    let answers = answer(gateway, resource, &query, shown).await;
     let status = answers.as_ref().map_or_else(Problem::status, |_| 200);
     if let Err(problem) = &answers {
         problem.log();
     }
-    reply(query, answers).await;
+    reply(query, answers, Some(request_id)).await;
     metrics::bus_query(resource.name(), status, begun.elapsed());
 }
 
@@ -121,8 +136,9 @@ async fn answer(
     gateway: &Gateway,
     resource: Resource,
     query: &Query,
+    shown: Option<&str>,
 ) -> Result<Vec<Answer>, Problem> {
-    let caller = identify(gateway, query.attachment())?;
+    let caller = gateway.let_in(shown)?;
     caller.check_role(match resource {
         Resource::Edits | Resource::Seams => Role::Edit,
         _ => Role::Read,
@@ -181,7 +197,7 @@ async fn edit(
     id: SessionId,
     query: &Query,
 ) -> Result<(&'static str, Vec<u8>), Problem> {
-    exchange(gateway, query, async |request| command::edit(gateway, id, request).await).await
+    exchange(gateway, id, query, async |request| command::edit(gateway, id, request).await).await
 }
 
 async fn seams(
@@ -189,17 +205,21 @@ async fn seams(
     id: SessionId,
     query: &Query,
 ) -> Result<(&'static str, Vec<u8>), Problem> {
-    exchange(gateway, query, async |request| command::add_seams(gateway, id, request).await).await
+    exchange(gateway, id, query, async |request| command::add_seams(gateway, id, request).await)
+        .await
 }
 
 /// Runs `command` on the document that the query carries and answers in the same form.
 async fn exchange<Request: DeserializeOwned + Send + 'static, Reply: Serialize>(
     gateway: &Gateway,
+    id: SessionId,
     query: &Query,
     command: impl AsyncFnOnce(Request) -> Result<Reply, Problem>,
 ) -> Result<(&'static str, Vec<u8>), Problem> {
     let form = Form::of(query.encoding())?;
-    let request = form.parse(gateway, query.payload()).await?;
+    // Of a session that does not exist the command says so, once it could read the request.
+    let account = gateway.store().account(id).unwrap_or(Account::Common);
+    let request = form.parse(gateway, account, query.payload()).await?;
     Ok((form.media(), form.write(&command(request).await?)?))
 }
 
@@ -227,10 +247,13 @@ async fn array(
 }
 
 /// Sends what there is to say. May wait on a congested link, hence the blocking thread.
-async fn reply(query: Query, answers: Result<Vec<Answer>, Problem>) {
+/// An answer carries the request's name; an error has no room for it.
+async fn reply(query: Query, answers: Result<Vec<Answer>, Problem>, request_id: Option<String>) {
+    let named = Attachment { key: None, request_id }.encode();
     let send = move || match answers {
         Ok(answers) => answers.into_iter().try_for_each(|answer| {
-            query.reply(answer.key, answer.payload).encoding(answer.encoding).wait()
+            let reply = query.reply(answer.key, answer.payload).encoding(answer.encoding);
+            reply.attachment(named.as_deref()).wait()
         }),
         Err(problem) => query.reply_err(problem.to_json()).encoding(media::PROBLEM_JSON).wait(),
     };
@@ -275,6 +298,7 @@ impl Form {
     pub(super) async fn parse<T: DeserializeOwned + Send + 'static>(
         self,
         gateway: &Gateway,
+        account: Account,
         payload: Option<&ZBytes>,
     ) -> Result<T, Problem> {
         let Some(payload) = payload else {
@@ -291,7 +315,7 @@ impl Form {
             Form::Json => parse_json(&payload.to_bytes()),
             Form::Bincode => parse_bincode(&payload.to_bytes()),
         };
-        command::parse(gateway, n_bytes, parse).await
+        command::parse(gateway, account, n_bytes, parse).await
     }
 
     fn write(self, document: &impl Serialize) -> Result<Vec<u8>, Problem> {

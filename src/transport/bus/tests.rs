@@ -73,6 +73,19 @@ async fn queries_are_refused_with_the_problems_of_http() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn the_rate_holds_over_zenoh_too() {
+    let limits = Limits { max_requests_per_s: 0.01, max_request_burst: 1, ..Limits::default() };
+    let (bus, client) = scene(limits).await;
+    let info = format!("{UNKNOWN}/info");
+    for status in [404, 429] {
+        let problem = refusal(&client, &info, Vec::new(), Encoding::default()).await;
+        assert_eq!(problem["status"], status, "{problem}");
+    }
+    client.close().await.unwrap();
+    bus.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn the_daemon_says_that_it_is_there_and_then_that_it_is_not() {
     let (bus, client) = scene(Limits::default()).await;
     let token = client.liveliness().declare_subscriber("sutura/v1/daemons/*").history(true);

@@ -52,6 +52,6 @@ async fn at(
         serde_json::to_vec(&evaluate::reply(evaluations, shape)?)
             .map_err(|error| Problem::new(Kind::Internal, error.to_string()))
     };
-    let json = store.compute("writing an evaluation", write).await??;
+    let json = store.compute(store.account(id)?, "writing an evaluation", write).await??;
     Ok(([(header::CONTENT_TYPE, media::JSON)], json).into_response())
 }

@@ -14,7 +14,7 @@ use bytes::{Bytes, BytesMut};
 use futures_util::{Stream, StreamExt};
 use serde::de::DeserializeOwned;
 use sutura_proto::media;
-use sutura_store::{GenerationRef, SessionId};
+use sutura_store::{Account, GenerationRef, SessionId};
 
 /// Bytes read past a limit and thrown away.
 const MAX_DISCARDED_BYTES: usize = 64 << 20;
@@ -107,8 +107,9 @@ impl<T: DeserializeOwned + Send + 'static> FromRequest<Gateway> for Document<T> 
             return Err(Problem::new(Kind::UnsupportedMediaType, detail));
         }
         let limit = gateway.limits().max_document_bytes;
+        let account = request.extensions().get().map_or(Account::Common, Caller::account);
         let body = receive(gateway, request.into_body(), limit).await?;
-        command::parse(gateway, body.len(), move || parse_json(&body).map(Document)).await
+        command::parse(gateway, account, body.len(), move || parse_json(&body).map(Document)).await
     }
 }
 

@@ -10,6 +10,7 @@ use axum::http::{HeaderName, HeaderValue, Method, header};
 use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use std::time::Instant;
+use sutura_proto::bus::is_request_id;
 use tower::ServiceBuilder;
 use tower_http::ServiceBuilderExt;
 use tower_http::catch_panic::CatchPanicLayer;
@@ -19,9 +20,6 @@ use tower_http::trace::{DefaultOnFailure, TraceLayer};
 use tracing::Level;
 
 static REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
-
-/// Longest request name taken over from a client.
-const MAX_REQUEST_ID_BYTES: usize = 128;
 
 /// Surrounds `router` with everything that holds for all routes, the outermost first.
 pub(super) fn surround(router: Router) -> Router {
@@ -56,7 +54,7 @@ pub(super) fn shed_load(router: Router<Gateway>, gateway: &Gateway) -> Router<Ga
 pub(super) fn authorize(router: Router<Gateway>, gateway: &Gateway) -> Router<Gateway> {
     async fn admit(State(gateway): State<Gateway>, mut request: Request, next: Next) -> Response {
         let key = presented(&request);
-        let caller = gateway.keys().identify(key.as_deref());
+        let caller = gateway.let_in(key.as_deref());
         let admitted = caller.and_then(|caller| {
             caller.check_role(needed(request.method(), request.uri().path()))?;
             Ok(caller)
@@ -98,10 +96,7 @@ fn needed(method: &Method, path: &str) -> Role {
 /// Forgets a client's request id that could not be repeated safely in a header or a log line; the
 /// next layer then makes one.
 async fn drop_unusable_request_id(mut request: Request, next: Next) -> Response {
-    let usable = |value: &HeaderValue| {
-        (1..=MAX_REQUEST_ID_BYTES).contains(&value.len())
-            && value.as_bytes().iter().all(|b| b.is_ascii_alphanumeric() || b"-_.".contains(b))
-    };
+    let usable = |value: &HeaderValue| is_request_id(value.as_bytes());
     if !request.headers().get(&REQUEST_ID).is_some_and(usable) {
         request.headers_mut().remove(&REQUEST_ID);
     }

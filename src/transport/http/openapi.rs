@@ -378,7 +378,13 @@ impl Route {
     fn problems(&self) -> BTreeMap<u16, Vec<Kind>> {
         let mut kinds = self.problems.to_vec();
         if self.path.starts_with("/v1") {
-            kinds.extend([Kind::Unauthorized, Kind::Forbidden, Kind::Busy, Kind::StorageFailed]);
+            kinds.extend([
+                Kind::Unauthorized,
+                Kind::Forbidden,
+                Kind::TooOften,
+                Kind::Busy,
+                Kind::StorageFailed,
+            ]);
         }
         if self.path.contains("{id}") {
             kinds.push(Kind::NoSession);

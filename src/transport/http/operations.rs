@@ -26,6 +26,10 @@ pub(super) async fn readyz(State(gateway): State<Gateway>) -> Result<&'static st
 /// GET /metrics
 pub(super) async fn metrics(State(gateway): State<Gateway>) -> impl IntoResponse {
     metrics::load(gateway.store().load());
+    let measured = gateway.clone();
+    if let Err(error) = tokio::task::spawn_blocking(move || measured.measure_memory()).await {
+        tracing::error!(%error, "memory could not be measured");
+    }
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], gateway.recorder().render())
 }
 

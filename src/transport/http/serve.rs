@@ -17,8 +17,6 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
-/// Connections open at the same time; further ones wait to be accepted.
-const MAX_CONNECTIONS: usize = 1024;
 /// How long a connection may take to send the head of its next request, idle time included.
 const MAX_HEAD_WAIT: Duration = Duration::from_secs(60);
 
@@ -34,7 +32,7 @@ pub async fn serve(
     beside.spawn(metrics::upkeep(gateway.recorder().clone()));
     beside.spawn(metrics::observe(gateway.store().clone()));
     let router = router(gateway.clone());
-    let places = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+    let places = Arc::new(Semaphore::new(gateway.limits().max_connections));
     let mut connections = JoinSet::new();
     let mut stop = pin!(stop);
     loop {

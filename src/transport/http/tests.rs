@@ -120,6 +120,22 @@ async fn the_description_is_served_whole() {
 }
 
 #[tokio::test]
+async fn whoever_comes_too_often_is_told_when_to_come_again() {
+    let limits = Limits { max_requests_per_s: 0.01, max_request_burst: 2, ..Limits::default() };
+    let app = router(gateway(limits));
+    for _ in 0..2 {
+        assert_eq!(get(&app, "/v1/sessions").await.status, 200);
+    }
+    let refused = get(&app, "/v1/sessions").await;
+    assert_eq!(refused.problem()["type"], "urn:sutura:problem:too-often");
+    assert_eq!(refused.status, 429);
+    let retry_after: u64 = refused.headers[header::RETRY_AFTER].to_str().unwrap().parse().unwrap();
+    assert!((1..=100).contains(&retry_after), "{retry_after}");
+    // Whether the daemon is well can always be asked.
+    assert_eq!(get(&app, "/healthz").await.status, 200);
+}
+
+#[tokio::test]
 async fn unknown_paths_and_sessions_are_problems() {
     let app = app();
     assert_eq!(get(&app, "/v2/nothing").await.problem()["title"], "No such path");
