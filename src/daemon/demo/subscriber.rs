@@ -101,6 +101,13 @@ pub(crate) struct SwitchReport {
     pub(crate) jump: f64,
 }
 
+impl SwitchReport {
+    /// Both states of the moment of the switch arrived, so that the jump is one and no estimate.
+    pub(crate) fn is_seen(&self) -> bool {
+        self.times_s[0] == self.times_s[1]
+    }
+}
+
 /// Watches until enough has been seen.
 pub(crate) async fn run(args: &SubscriberArgs) -> Result<(), DemoError> {
     let client = ZenohClient::open(&args.zenoh).await.doing("joining the daemon's Zenoh")?;
