@@ -1,7 +1,8 @@
 //! Keys: who is let in, and what they see.
 
 use crate::bodies::{bar, config, ready_bar, seam, soften, stitch};
-use crate::daemon::{Daemon, PATIENCE, plain_http};
+use crate::daemon::{Daemon, PATIENCE};
+use crate::plain_http::plain_http;
 use serde_json::json;
 use std::path::Path;
 use std::process::{Command, Output};

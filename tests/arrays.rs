@@ -1,7 +1,8 @@
 //! The arrays of a generation, checked against each other and against the evaluator.
 
 use crate::bodies::{STIFFNESS_N_M, TIP, bar, config, prepared, ready_bar, seam, stitch};
-use crate::daemon::{Daemon, plain_http};
+use crate::daemon::Daemon;
+use crate::plain_http::plain_http;
 use reqwest::header;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use sutura_client::proto::edit::{CubatureSource, Edit, EditMethod, EditRequest, Verdict};

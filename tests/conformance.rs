@@ -1,7 +1,8 @@
 //! The cases that every client is held to: `tests/data/conformance`.
 
 use crate::bodies::prepared;
-use crate::daemon::{Daemon, plain_http};
+use crate::daemon::Daemon;
+use crate::plain_http::plain_http;
 use reqwest::header::ACCEPT;
 use serde::Deserialize;
 use serde_json::Value;

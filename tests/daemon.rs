@@ -4,23 +4,11 @@ use std::ffi::OsStr;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 use sutura_client::{Client, ZenohClient};
 
 /// How long a daemon may take to go down, or to publish a state: far longer than it ever does.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
-
-/// A client of HTTP that takes what comes; it trusts nobody's certificate, and needs none.
-pub(crate) fn plain_http() -> reqwest::Client {
-    let provider = Arc::new(rustls::crypto::ring::default_provider());
-    let tls = rustls::ClientConfig::builder_with_provider(provider)
-        .with_safe_default_protocol_versions()
-        .unwrap()
-        .with_root_certificates(rustls::RootCertStore::empty())
-        .with_no_client_auth();
-    reqwest::Client::builder().tls_backend_preconfigured(tls).build().unwrap()
-}
 
 /// A running daemon; killed when dropped.
 pub(crate) struct Daemon {

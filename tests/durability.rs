@@ -1,7 +1,8 @@
 //! Daemons that are killed at any instant, and what the next one finds.
 
 use crate::bodies::{bar, config, seam, stitch};
-use crate::daemon::{Daemon, plain_http};
+use crate::daemon::Daemon;
+use crate::plain_http::plain_http;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};

@@ -1,7 +1,8 @@
 //! What the people who run the daemon rely on.
 
 use crate::bodies::{ready_bar, seam, stitch};
-use crate::daemon::{Daemon, PATIENCE, plain_http};
+use crate::daemon::{Daemon, PATIENCE};
+use crate::plain_http::plain_http;
 use serde_json::Value;
 use std::collections::BTreeSet;
 
@@ -104,7 +105,7 @@ async fn what_a_request_does_is_logged_under_its_name() {
     let session = ready_bar(&daemon).await;
     let [first, second] = [&seam()[..1], &seam()[1..2]].map(stitch);
     let url = daemon.url(&format!("/v1/sessions/{}/edits", session.id()));
-    let request = reqwest::Client::new().post(url).header("x-request-id", "over-http");
+    let request = plain_http().post(url).header("x-request-id", "over-http");
     let reply = request.json(&first).send().await.unwrap();
     assert_eq!(
         (reply.status().as_u16(), &reply.headers()["x-request-id"]),

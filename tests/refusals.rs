@@ -2,7 +2,8 @@
 //! the session is what it was.
 
 use crate::bodies::{TIP, bar, config, free_vertices, msh, prepared, ready_bar, seam, stitch};
-use crate::daemon::{Daemon, plain_http};
+use crate::daemon::Daemon;
+use crate::plain_http::plain_http;
 use reqwest::multipart::{Form, Part};
 use reqwest::{Method, RequestBuilder, Response, header};
 use serde_json::{Value, json};

@@ -11,6 +11,7 @@ mod durability;
 mod edits;
 mod links;
 mod operations;
+mod plain_http;
 mod refusals;
 mod simulation;
 mod tls;

@@ -1,5 +1,6 @@
 //! The daemon under load: its process, and what its metrics say second by second.
 
+use crate::plain_http::plain_http;
 use crate::{Failure, Options};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -93,11 +94,12 @@ impl Daemon {
     /// Reads the metrics once a second, until it is aborted.
     pub(crate) fn watcher(&self, start: Instant) -> impl Future<Output = ()> + Send + use<> {
         let (url, samples) = (format!("{}/metrics", self.http), self.samples.clone());
+        let http = plain_http();
         async move {
             let mut ticks = tokio::time::interval_at(start, Duration::from_secs(1));
             loop {
                 let time_s = (ticks.tick().await - start).as_secs_f64();
-                let Ok(reply) = reqwest::get(&url).await else { continue };
+                let Ok(reply) = http.get(&url).send().await else { continue };
                 let Ok(text) = reply.text().await else { continue };
                 let sample = Sample { time_s, values: values(&text) };
                 samples.lock().unwrap_or_else(PoisonError::into_inner).push(sample);

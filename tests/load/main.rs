@@ -9,6 +9,8 @@ mod arrivals;
 mod body;
 mod daemon;
 mod picture;
+#[path = "../plain_http.rs"]
+mod plain_http;
 mod report;
 mod states;
 
@@ -191,6 +193,9 @@ async fn run(options: &Options) -> Result<Summary, Failure> {
     }
     watching.abort();
     let samples = daemon.samples();
+    if samples.is_empty() {
+        return Err("the daemon's metrics could not be read once".into());
+    }
     for session in &sessions {
         session.delete().await?;
     }
