@@ -39,6 +39,8 @@ class Stepper:
         self.time_s = 0.0
         zero = np.zeros(evaluator.size)
         self.q, self.velocity, self.acceleration = zero, zero.copy(), zero.copy()
+        # What the acceleration was found under: when the load jumps, acceleration jumps with it.
+        self._load = zero.copy()
         rest = evaluator.evaluate(zero).stiffness
         alpha, beta = evaluator.damping.astype(np.float64)
         self._damping = alpha * np.eye(len(zero)) + beta * rest
@@ -58,8 +60,9 @@ class Stepper:
                 raise MismatchError(detail)
             load = load + given
         h = self.dt_s
-        q = self.q + h * self.velocity + h * h * (0.5 - _BETA) * self.acceleration
-        v = self.velocity + h * (1.0 - _GAMMA) * self.acceleration
+        before = self.acceleration + (load - self._load)
+        q = self.q + h * self.velocity + h * h * (0.5 - _BETA) * before
+        v = self.velocity + h * (1.0 - _GAMMA) * before
         a = np.zeros_like(q)
         for _ in range(_MOST_NEWTON):
             x, w = q + _BETA * h * h * a, v + _GAMMA * h * a
@@ -71,7 +74,7 @@ class Stepper:
             if not np.isfinite(scale):
                 break
             if float(np.linalg.norm(residual)) <= _TOLERANCE * scale:
-                self.q, self.velocity, self.acceleration = x, w, a
+                self.q, self.velocity, self.acceleration, self._load = x, w, a, load
                 self.time_s += h
                 return x
             matrix = np.eye(len(q)) + _GAMMA * h * self._damping + _BETA * h * h * here.stiffness
