@@ -40,7 +40,7 @@ class Stepper:
         zero = np.zeros(evaluator.size)
         self.q, self.velocity, self.acceleration = zero, zero.copy(), zero.copy()
         # What the acceleration was found under: when the load jumps, acceleration jumps with it.
-        self._load = zero.copy()
+        self._load: npt.NDArray[np.floating] = zero.copy()
         rest = evaluator.evaluate(zero).stiffness
         alpha, beta = evaluator.damping.astype(np.float64)
         self._damping = alpha * np.eye(len(zero)) + beta * rest
