@@ -68,15 +68,24 @@ test('a daemon that is not there is told from one that refuses', async () => {
   await assert.rejects(new BusClient(nobody).session('a').info(), /nobody answers for sutura\/v1\/sessions\/a\/info/)
 })
 
-test('keys go along, publications are decoded, and a stream that is closed ends', async () => {
+test('keys go along, a tenant hears its own, and a stream that is closed ends', async () => {
   const { BusClient } = await import('../build/index.js')
   const put = []
   let publish
   let ended = 0
   const zenohSession = {
     put: async (...given) => put.push(given),
+    // Whose session it is decides where it is published.
+    get: async (selector, { attachment }) => {
+      assert.deepEqual([selector, attachment], ['sutura/v1/sessions/a/info', 'k-1'])
+      const toBytes = () => new TextEncoder().encode(JSON.stringify({ tenant: 'clinic' }))
+      const result = { keyexpr: () => selector, payload: () => ({ toBytes }) }
+      return (async function* () {
+        yield { result: () => result }
+      })()
+    },
     declareSubscriber: async (key, { handler }) => {
-      assert.equal(key, 'sutura/v1/sessions/a/generation')
+      assert.equal(key, 'sutura/v1/tenants/clinic/sessions/a/generation')
       publish = (text) => handler({ payload: () => ({ toBytes: () => new TextEncoder().encode(text) }) })
       return { undeclare: async () => void (ended += 1) }
     },
