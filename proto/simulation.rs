@@ -28,8 +28,7 @@ pub struct SimulationConfig {
     /// Gravity in m/s². Default: (0, −9.81, 0).
     pub gravity_m_s2: [f64; 3],
     /// Relative error of the deformation that a step may add, by estimate: steps with more of it are split, into 64 parts
-    /// at most. Between 0 and 1 (1e-3 resolves a motion in some 60 steps a period). Default: none, steps are split
-    /// only where they cannot be solved.
+    /// at most. Between 0 and 1. Default: none, steps are split only where they cannot be solved.
     pub substep_tolerance: Option<f64>,
     /// What the body cannot enter. Default: nothing.
     pub obstacles: Vec<Obstacle>,

@@ -2,10 +2,10 @@
 
 use crate::bodies::{ready_bar, seam, soften, stitch};
 use crate::daemon::{Daemon, PATIENCE};
-use std::io::{Read, Write};
+use std::io::Write;
 use std::net::TcpStream;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use sutura_client::ZenohClient;
 use sutura_client::proto::simulation::SimulationConfig;
 use tokio::net::{TcpListener, TcpStream as AsyncStream};
@@ -138,10 +138,7 @@ async fn slow_and_vanishing_clients_hold_up_nobody() {
     }
     let reply = session.edit(&soften(5)).await.unwrap();
     assert!((3..=6).contains(&reply.generation), "{}", reply.generation);
-    // Those who took nothing were not kept for: they are cut off, or their frames were dropped.
-    for mut stream in held {
-        stream.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
-        let _ = stream.read(&mut [0; 1024]);
-    }
+    // With those who take nothing and those who stopped in the midst still there it goes down in order.
     assert!(daemon.terminate().success());
+    drop(held);
 }

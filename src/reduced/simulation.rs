@@ -41,6 +41,24 @@ pub struct SimulationParams {
     pub substep_tolerance: Option<f64>,
 }
 
+impl SimulationParams {
+    /// Refuses what no simulation can run with.
+    pub fn check(&self) -> Result<(), SimulationError> {
+        if !(self.dt_s > 0.0 && self.dt_s <= 1.0) {
+            return Err(SimulationError::TimeStep(self.dt_s));
+        }
+        if self.gravity_m_s2.iter().any(|g| !g.is_finite()) {
+            return Err(SimulationError::Gravity);
+        }
+        match self.substep_tolerance {
+            Some(tolerance) if !(tolerance > 0.0 && tolerance < 1.0) => {
+                Err(SimulationError::SubstepTolerance(tolerance))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
 /// What surrounds the body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Environment {
@@ -55,7 +73,7 @@ pub struct Environment {
 pub struct StepReport {
     /// Newton iterations over all substeps.
     pub n_newton: u32,
-    /// Substeps the step was split into.
+    /// Substeps that were taken, 1 for a step as a whole; of a step that was undone, those before it failed.
     pub n_substeps: u32,
     /// No substep size worked: the step was undone and the body brought to rest where it was.
     pub recovered: bool,
@@ -124,7 +142,7 @@ impl Simulation {
         model: Arc<ReducedModel>,
         params: SimulationParams,
     ) -> Result<Simulation, SimulationError> {
-        check_params(&params)?;
+        params.check()?;
         let motion = motion_of(&model, &params)?;
         let mut simulation = Simulation {
             state: State::at_rest(model.r()),
@@ -236,12 +254,11 @@ impl Simulation {
         let mut found = None;
         for _ in 0..FRAME_PASSES {
             let load = Load { force, at_vertices };
-            let (next, moved, pull, error) =
+            let (Stepped { state: next, error, .. }, moved, pull) =
                 self.pass(state, motion, body, &pass, load, dt, n_newton)?;
             let after = moved.angular_velocity(body, &next.q, &next.velocity)?;
-            // What the frame moves with: the mean over the step, or what it has at its end.
-            let is_mean = self.params.integrator != Integrator::BackwardEuler;
-            let share = if is_mean { 0.5 } else { 1.0 };
+            // What the frame moves with.
+            let share = if self.takes_means() { 0.5 } else { 1.0 };
             let between = |a: &[f64], b: &[f64]| -> Vec<f64> {
                 a.iter().zip(b).map(|(a, b)| a + share * (b - a)).collect()
             };
@@ -263,8 +280,13 @@ impl Simulation {
         found
     }
 
-    /// A substep of a free body, its frame being expected to move as `pass` says; the motion that it comes to, and
-    /// what pulls at it (force and torque in the world), with the estimate of the deformation's error.
+    /// Whether what acts on a free body acts as its mean over the step, and not as at its end.
+    fn takes_means(&self) -> bool {
+        self.params.integrator != Integrator::BackwardEuler
+    }
+
+    /// A substep of a free body, its frame being expected to move as `pass` says; the deformation and the motion that
+    /// it comes to, and what pulls at it (force and torque in the world).
     #[allow(clippy::too_many_arguments)] // one call, from `advance`
     fn pass(
         &self,
@@ -275,7 +297,7 @@ impl Simulation {
         load: Load<'_>,
         dt: f64,
         n_newton: &mut u32,
-    ) -> Option<(State, Motion, [Vector3<f64>; 2], f64)> {
+    ) -> Option<(Stepped, Motion, [Vector3<f64>; 2])> {
         let scheme = self.scheme().unwrap_or(Scheme::Newmark);
         let [rate, _] = scheme.rates(dt);
         let place = |q: &[f64], vertex: &VertexRows| {
@@ -304,13 +326,12 @@ impl Simulation {
         );
         let mut reduced: Vec<f64> = inertial.iter().map(|inertial| -inertial).collect();
         reduced.iter_mut().zip(load.force).for_each(|(load, f)| *load += f);
-        // What forces at vertices do over the step: the mean of its ends, or what they do at its end.
-        let before = Placement { frame: motion.frame, ..placement };
-        let ends = match self.params.integrator {
-            Integrator::BackwardEuler => [placement, placement],
-            _ => [before, placement],
+        // What forces at vertices do at the ends of the step.
+        let first = match self.takes_means() {
+            true => Placement { frame: motion.frame, ..placement },
+            false => placement,
         };
-        for end in &ends {
+        for end in [&first, &placement] {
             add_vertex_loads(&mut reduced, load.at_vertices, end, 0.5);
         }
         let rigid = RigidPart {
@@ -321,16 +342,11 @@ impl Simulation {
         let next = self.solve(state, &reduced, placement, Some(rigid), dt, n_newton)?;
 
         let frame = next.placement.frame;
-        let q_before = if self.params.integrator == Integrator::BackwardEuler {
-            &next.state.q
-        } else {
-            &state.q
-        };
+        let first_q = if self.takes_means() { &state.q } else { &next.state.q };
         let pull = next.total.map(|total| frame.rotation * total);
         let mut torque = pull[1];
         for (vertex, f) in load.at_vertices {
-            for (rotation, q) in
-                [(ends[0].frame.rotation, q_before), (frame.rotation, &next.state.q)]
+            for (rotation, q) in [(first.frame.rotation, first_q), (frame.rotation, &next.state.q)]
             {
                 torque += (rotation * place(q, vertex)).cross(&Vector3::from(*f)) * 0.5;
             }
@@ -339,7 +355,7 @@ impl Simulation {
         let angular_momentum = motion.angular_momentum + torque * dt;
         let finite = momentum.iter().chain(&angular_momentum).all(|x| x.is_finite());
         let moved = Motion { frame, momentum, angular_momentum, ..*motion };
-        finite.then_some((next.state, moved, pull, next.error))
+        finite.then_some((next, moved, pull))
     }
 
     /// The scheme of implicit steps; none of exact oscillators.
@@ -364,18 +380,18 @@ impl Simulation {
     ) -> Option<Stepped> {
         let interactions = self.interactions();
         let Some(scheme) = self.scheme() else {
-            let mut load = load.to_vec();
+            let mut pulled = load.to_vec();
             let mut total = [Vector3::zeros(); 2];
             if !interactions.are_none() {
                 let pull = interactions.pull(&placement, &state.q, &state.velocity, None);
-                load.iter_mut().zip(pull.force).for_each(|(load, f)| *load += f);
+                pulled.iter_mut().zip(pull.force).for_each(|(load, f)| *load += f);
                 total = pull.total;
             }
             let oscillators = self.oscillators.as_ref()?;
             let [q, velocity] =
-                oscillators.advance(&self.model, &state.q, &state.velocity, &load, dt);
+                oscillators.advance(&self.model, &state.q, &state.velocity, &pulled, dt);
             let acceleration = vec![0.0; q.len()];
-            let state = State { q, velocity, acceleration, load };
+            let state = State { q, velocity, acceleration, load: load.to_vec() };
             return state.is_finite().then_some(Stepped { state, placement, total, error: 0.0 });
         };
         let step = Step {
@@ -405,9 +421,10 @@ impl Simulation {
 
     /// Changes the parameters from the next step on.
     pub fn set_params(&mut self, params: SimulationParams) -> Result<(), SimulationError> {
-        check_params(&params)?;
+        params.check()?;
         motion_of(&self.model, &params)?;
         let was = std::mem::replace(&mut self.params, params);
+        self.halvings = 0;
         if let Err(error) = self.prepare_oscillators() {
             self.params = was;
             return Err(error);
@@ -607,20 +624,4 @@ fn motion_of(
         (_, Some(body)) => Ok(Some(Motion::at_rest(body))),
         (n_rigid_modes, None) => Err(SimulationError::PartlyFree { n_rigid_modes }),
     }
-}
-
-fn check_params(params: &SimulationParams) -> Result<(), SimulationError> {
-    if !(params.dt_s > 0.0 && params.dt_s <= 1.0) {
-        return Err(SimulationError::TimeStep(params.dt_s));
-    }
-    if params.gravity_m_s2.iter().any(|g| !g.is_finite()) {
-        return Err(SimulationError::Gravity);
-    }
-    match params.substep_tolerance {
-        Some(tolerance) if !(tolerance > 0.0 && tolerance < 1.0) => {
-            return Err(SimulationError::SubstepTolerance(tolerance));
-        }
-        _ => {}
-    }
-    Ok(())
 }

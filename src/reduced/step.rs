@@ -62,18 +62,24 @@ impl Scheme {
     /// scheme leaves out, from how acceleration changes (Zienkiewicz and Xie, *A simple error estimator and
     /// adaptive time stepping procedure for dynamic analysis*, 1991).
     fn error(self, start: &State, end: &State, dt: f64) -> f64 {
-        let norm = |x: &mut dyn Iterator<Item = f64>| x.map(|x| x * x).sum::<f64>().sqrt();
-        let of = |x: &[f64]| norm(&mut x.iter().copied());
-        let change = start.acceleration.iter().zip(&end.acceleration).map(|(a, b)| b - a);
         let wrong = match self {
-            Scheme::Newmark => norm(&mut { change }) / 12.0,
-            Scheme::BackwardEuler => of(&end.acceleration) / 2.0,
+            Scheme::Newmark => {
+                let change = start.acceleration.iter().zip(&end.acceleration).map(|(a, b)| b - a);
+                norm(change) / 12.0
+            }
+            Scheme::BackwardEuler => norm(end.acceleration.iter().copied()) / 2.0,
             Scheme::QuasiStatic => 0.0,
         };
-        let motion = |state: &State| of(&state.q) + dt * of(&state.velocity);
+        let motion = |state: &State| {
+            norm(state.q.iter().copied()) + dt * norm(state.velocity.iter().copied())
+        };
         let scale = motion(start) + motion(end);
         if wrong > 0.0 { dt * dt * wrong / scale } else { 0.0 }
     }
+}
+
+fn norm(x: impl Iterator<Item = f64>) -> f64 {
+    x.map(|x| x * x).sum::<f64>().sqrt()
 }
 
 /// Evaluations a step may take, those after a Newton step was halved included; two or three is usual. An
@@ -122,7 +128,7 @@ pub(crate) struct Stepped {
     pub(crate) placement: Placement,
     /// What grabs and obstacles pull with there: force and torque in the frame.
     pub(crate) total: [Vector3<f64>; 2],
-    /// Estimate of the relative error that the step added to q; not finite where nothing moves.
+    /// Estimate of the relative error that the step added to q.
     pub(crate) error: f64,
 }
 
@@ -146,7 +152,7 @@ impl Step<'_> {
         let mut backtracks = 0;
         for _ in 0..MOST_EVALUATIONS[usize::from(self.scheme == Scheme::QuasiStatic)] {
             let (q, frame) = x.split_at(r);
-            let State { velocity, acceleration, .. } = self.state_at(q, start);
+            let [velocity, acceleration] = self.rates_at(q, start);
             let sums = self.model.sums(q, true);
             let part = |first: usize| Vector3::from_fn(|axis, _| frame[first + axis]);
             let [shift, turn] =
@@ -240,22 +246,21 @@ impl Step<'_> {
         None
     }
 
-    /// `q` with its rates.
-    fn state_at(&self, q: &[f64], start: &State) -> State {
+    /// Velocity and acceleration at `q`.
+    fn rates_at(&self, q: &[f64], start: &State) -> [Vec<f64>; 2] {
         let dt = self.dt;
         let of = |f: &dyn Fn(usize) -> f64| -> Vec<f64> { (0..q.len()).map(f).collect() };
         let moved = |i: usize| q[i] - start.q[i];
-        let (velocity, acceleration) = match self.scheme {
-            Scheme::Newmark => (
+        match self.scheme {
+            Scheme::Newmark => [
                 of(&|i| 2.0 / dt * moved(i) - start.velocity[i]),
                 of(&|i| 4.0 / dt * (moved(i) / dt - start.velocity[i]) - start.acceleration[i]),
-            ),
+            ],
             Scheme::BackwardEuler => {
-                (of(&|i| moved(i) / dt), of(&|i| (moved(i) / dt - start.velocity[i]) / dt))
+                [of(&|i| moved(i) / dt), of(&|i| (moved(i) / dt - start.velocity[i]) / dt)]
             }
-            Scheme::QuasiStatic => (of(&|i| moved(i) / dt), vec![0.0; q.len()]),
-        };
-        State { q: q.to_vec(), velocity, acceleration, load: Vec::new() }
+            Scheme::QuasiStatic => [of(&|i| moved(i) / dt), vec![0.0; q.len()]],
+        }
     }
 }
 

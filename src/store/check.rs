@@ -5,7 +5,7 @@ use crate::error::{InputError, StoreError};
 use crate::session::{CreateSession, EditRequest};
 use crate::simulation::{ContactConfig, GrabConfig, SimulationConfig, VertexForce};
 use sutura_core::edit::Edit;
-use sutura_core::reduced::{Evaluation, SimulationError};
+use sutura_core::reduced::Evaluation;
 
 fn at_most(what: &'static str, limit: usize, given: usize) -> Result<(), StoreError> {
     if given <= limit { Ok(()) } else { Err(StoreError::TooLarge { what, limit, given }) }
@@ -116,9 +116,7 @@ pub(crate) fn simulation(config: &SimulationConfig, limits: &Limits) -> Result<(
     if !(low..=1.0).contains(&params.dt_s) {
         return Err(InputError::TimeStep { given: params.dt_s, low }.into());
     }
-    if !params.gravity_m_s2.iter().all(|g| g.is_finite()) {
-        return Err(SimulationError::Gravity.into());
-    }
+    params.check()?;
     let high = limits.max_publish_hz;
     if !(publish_hz > 0.0 && publish_hz <= high) {
         return Err(InputError::PublishRate { given: publish_hz, high }.into());

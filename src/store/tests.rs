@@ -650,6 +650,11 @@ async fn simulations_and_forces_are_limited() {
     bad.params.dt_s = f64::NAN;
     let refused = store.put_simulation(b, bad).await;
     assert!(matches!(refused, Err(StoreError::Input(InputError::TimeStep { .. }))));
+    let mut bad = simulation();
+    bad.params.substep_tolerance = Some(1.0);
+    let refused = store.put_simulation(b, bad).await;
+    let expected = SimulationError::SubstepTolerance(1.0);
+    assert!(matches!(refused, Err(StoreError::Simulation(error)) if error == expected));
     let force = VertexForce { vertex: u32::MAX, ..pull(1.0) };
     let refused = store.push_forces(b, vec![pull(1.0), force]);
     assert!(matches!(

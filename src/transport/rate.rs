@@ -23,13 +23,17 @@ pub(crate) struct Rates {
     due: Mutex<BTreeMap<Option<Arc<str>>, Instant>>,
 }
 
+/// Longest time between two requests: rates below one in a day are taken for that.
+const MAX_INTERVAL: Duration = Duration::from_secs(24 * 3600);
+
 /// Tenants above which those that have nothing outstanding are forgotten.
 const MANY_TENANTS: usize = 1024;
 
 impl Rates {
     /// At most `per_s` requests a second in the long run and `burst` at once, from each tenant.
     pub(crate) fn new(per_s: f64, burst: usize) -> Rates {
-        let interval = Duration::from_secs_f64(1.0 / per_s);
+        let interval = Duration::try_from_secs_f64(1.0 / per_s).unwrap_or(MAX_INTERVAL);
+        let interval = interval.min(MAX_INTERVAL);
         let n_ahead = u32::try_from(burst.saturating_sub(1)).unwrap_or(u32::MAX);
         Rates {
             rate: Rate { interval, burst: interval.saturating_mul(n_ahead) },
@@ -72,6 +76,16 @@ mod tests {
         // A long silence saves up one burst and no more.
         assert_eq!([take(9000), take(9000), take(9000)], [Ok(()); 3]);
         assert_eq!(take(9000), Err(100));
+    }
+
+    #[test]
+    fn a_rate_of_next_to_nothing_is_one_a_day() {
+        let now = Instant::now();
+        for per_s in [f64::MIN_POSITIVE, 1e-30, 1e-6] {
+            let rates = Rates::new(per_s, 1);
+            assert!(rates.take(None, now).is_ok());
+            assert_eq!(rates.take(None, now), Err(MAX_INTERVAL));
+        }
     }
 
     #[test]

@@ -11,6 +11,7 @@ use crate::chart::{self, Curve};
 use crate::clock::Clock;
 use clap::ValueEnum;
 use serde::Serialize;
+use serde_json::json;
 use std::fs::File;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -31,6 +32,9 @@ const STEPS_PER_PERIOD: f64 = 60.0;
 
 /// How far gravity would move the body by linear statics, relative to its size: well beyond small motion.
 const SAG: f64 = 0.12;
+
+/// Gravity in m/s² that bends no body beyond its linear range.
+const TRACE: f64 = 1e-6;
 
 /// A figure of \[M16\].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -172,7 +176,7 @@ fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
     values.into_iter().fold(0.0, f64::max)
 }
 
-/// `tables` with stitches of `stiffness_n_m` on pairs whose rows they are (before and after: what holds the body).
+/// `tables` with stitches of `stiffness_n_m` on pairs of vertices, after which nothing is free to move rigidly.
 fn stitched(
     mut tables: EvaluatorTables,
     pairs: &[[VertexRows; 2]],
@@ -231,17 +235,58 @@ impl<'a> Scene<'a> {
         let first = built.frequencies_hz()[built.n_rigid_modes()];
         let mover = Mover::new("", built);
         let model = built.model();
-        // One step of Newton's method from rest is linear statics.
-        let load: Vec<f64> = (0..model.r()).map(|i| -model.gravity_loads()[(i, 1)]).collect();
-        let tiny: Vec<f64> = load.iter().map(|x| 1e-6 * x).collect();
-        let q = model.solve_static(&tiny, &vec![0.0; load.len()])?;
-        let sag = 1e6 * reach(&mover.displacement(&q));
+        // Under so little of it statics are linear.
+        let load: Vec<f64> =
+            (0..model.r()).map(|i| -TRACE * model.gravity_loads()[(i, 1)]).collect();
+        let q = model.solve_static(&load, &vec![0.0; load.len()])?;
+        let sag = reach(&mover.displacement(&q)) / TRACE;
         let gravity = SAG * built.mesh().diagonal() / sag;
         Ok(Course {
             dt_s: 1.0 / (first * STEPS_PER_PERIOD),
             gravity_m_s2: [0.0, -gravity, 0.0],
             integrator: Integrator::ImplicitNewmark,
         })
+    }
+
+    /// Moves `movers` on the same course and holds them against the last: a chart, data and a table.
+    fn compare(&self, movers: &[Mover<'_>; 3], course: Course) -> Result<Comparison, Failure> {
+        let mut motions = Vec::new();
+        for mover in movers {
+            motions.push(mover.run(course, self.n_frames)?);
+        }
+        let reaches: Vec<Vec<f64>> = motions
+            .iter()
+            .map(|frames| frames.iter().map(|frame| reach(frame)).collect())
+            .collect();
+        let curves: Vec<Curve> = movers
+            .iter()
+            .zip(&reaches)
+            .map(|(mover, reaches)| over_time(course, mover.name, reaches.iter().copied()))
+            .collect();
+        self.chart("motion", "largest displacement under gravity", "m", &curves)?;
+        self.data(&json!({
+            "body": self.body.name, "n_stitches": self.body.stitches.len(), "dt_s": course.dt_s,
+            "gravity_m_s2": course.gravity_m_s2,
+            "bases": movers.iter().map(|mover| mover.name).collect::<Vec<_>>(),
+            "largest_displacement_m": reaches,
+        }))?;
+        let top = largest(reaches[2].iter().copied());
+        let mut text = String::from(
+            "| basis | columns | largest displacement, of that from scratch | largest difference of a frame, \
+             root mean square, of the largest displacement |\n|---|---|---|---|\n",
+        );
+        for ((mover, frames), reaches) in movers.iter().zip(&motions).zip(&reaches) {
+            let apart = largest(frames.iter().zip(&motions[2]).map(|(a, b)| difference(a, b)));
+            text += &format!(
+                "| {} | {} | {:.3} | {:.4} |\n",
+                mover.name,
+                mover.model.r(),
+                largest(reaches.iter().copied()) / top,
+                apart / top
+            );
+        }
+        let at = farthest(&motions[2]);
+        Ok(Comparison { text, at, frames: motions.into_iter().map(|m| m[at].clone()).collect() })
     }
 
     /// Pictures of the body, all from one side and at one scale.
@@ -268,6 +313,16 @@ impl<'a> Scene<'a> {
     fn data(&self, data: &impl Serialize) -> Result<(), Failure> {
         Ok(std::fs::write(self.file("json"), serde_json::to_vec_pretty(data)?)?)
     }
+}
+
+/// What three movers have done.
+struct Comparison {
+    /// As a table.
+    text: String,
+    /// The frame in which the last of them reached farthest.
+    at: usize,
+    /// All of them in that frame.
+    frames: Vec<Vec<f32>>,
 }
 
 /// A picture to be taken.

@@ -137,17 +137,22 @@ class Scenario:
         command = ["bash", "-euo", "pipefail", "-c", f'trap "{escape(save)}" EXIT\n{script}']
         return self._command(block, command, self.folder, expected)
 
-    def _command(self, block: Block, command: list[str], folder: Path, expected: int = 0) -> str:
-        process = subprocess.Popen(
+    def _popen(
+        self, command: list[str], folder: Path, *, stdin: int, stderr: int | None = None
+    ) -> subprocess.Popen[str]:
+        return subprocess.Popen(
             command,
             cwd=folder,
             env=self._env,
-            stdin=subprocess.DEVNULL,
+            stdin=stdin,
             stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            stderr=stderr,
             text=True,
             start_new_session=True,
         )
+
+    def _command(self, block: Block, command: list[str], folder: Path, expected: int = 0) -> str:
+        process = self._popen(command, folder, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE)
         try:
             printed, complaints = process.communicate(timeout=PATIENCE_S)
         except subprocess.TimeoutExpired:
@@ -164,15 +169,8 @@ class Scenario:
 
     def _start(self, block: Block) -> None:
         self._stop_background()
-        process = subprocess.Popen(
-            ["bash", "-c", f". '{self._state}'\n{self._here(block.code)}"],
-            cwd=self.folder,
-            env=self._env,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
+        script = f". '{self._state}'\n{self._here(block.code)}"
+        process = self._popen(["bash", "-c", script], self.folder, stdin=subprocess.DEVNULL)
         self._background = process
         stop = threading.Timer(PATIENCE_S, process.kill)
         stop.start()
@@ -187,15 +185,8 @@ class Scenario:
 
     def _exec(self, block: Block) -> str:
         if self._python is None:
-            self._python = subprocess.Popen(
-                [sys.executable, HERE / "interpreter.py"],
-                cwd=self.folder,
-                env=self._env,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                text=True,
-                start_new_session=True,
-            )
+            command = [sys.executable, str(HERE / "interpreter.py")]
+            self._python = self._popen(command, self.folder, stdin=subprocess.PIPE)
         process = self._python
         assert process.stdin is not None and process.stdout is not None
         stop = threading.Timer(PATIENCE_S, process.kill)

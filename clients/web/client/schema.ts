@@ -4471,8 +4471,7 @@ export interface components {
             /**
              * Format: double
              * @description Relative error of the deformation that a step may add, by estimate: steps with more of it are split, into 64 parts
-             *     at most. Between 0 and 1 (1e-3 resolves a motion in some 60 steps a period). Default: none, steps are split
-             *     only where they cannot be solved.
+             *     at most. Between 0 and 1. Default: none, steps are split only where they cannot be solved.
              * @default null
              */
             substep_tolerance?: number | null;

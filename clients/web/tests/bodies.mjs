@@ -1,5 +1,7 @@
 /** A small body to operate on: a bar cut in two, one half held, to be stitched together. */
 
+import { setTimeout as sleep } from 'node:timers/promises'
+
 /** Edge of a cell in m. */
 const EDGE = 0.025
 /** Stiffness of the stitches in N/m. */
@@ -91,3 +93,15 @@ export function config() {
 export function stitch(pairs) {
   return { edits: [{ stitch: { pairs, stiffness_n_m: STIFFNESS } }] }
 }
+
+/** Asks until it is so: a wait that ends. */
+export async function until(isSo, what) {
+  const deadline = Date.now() + 60_000
+  while (!(await isSo())) {
+    if (Date.now() > deadline) throw new Error(`not so yet: ${what}`)
+    await sleep(20)
+  }
+}
+
+/** The bytes of a typed array. */
+export const bytesOf = (data) => Buffer.from(data.buffer, data.byteOffset, data.byteLength)

@@ -4,13 +4,12 @@ import assert from 'node:assert/strict'
 import { mkdirSync, readFileSync, writeFileSync } from 'node:fs'
 import { join } from 'node:path'
 import { after, before, test } from 'node:test'
-import { setTimeout as sleep } from 'node:timers/promises'
 import { Client, ProblemError } from '../build/index.js'
 import { startDaemon } from '../scripts/daemon.mjs'
+import { bytesOf, until } from './bodies.mjs'
 
 const read = (name) =>
   JSON.parse(readFileSync(new URL(`../../../tests/data/conformance/${name}`, import.meta.url), 'utf8'))
-const bytesOf = (data) => Buffer.from(data.buffer, data.byteOffset, data.byteLength)
 /** What was received: its name, and its numbers as little-endian bytes. */
 const entry = (name, ...values) => Buffer.concat([Buffer.from(`${name}\n`), ...values.map(bytesOf), Buffer.from('\n')])
 const doubles = (values) => Float64Array.from(values.flat())
@@ -35,11 +34,7 @@ async function take(session, step, place) {
   if (step.info) {
     assertHas(await session.info(), step.info, place)
   } else if (step.prepared) {
-    const deadline = Date.now() + 60_000
-    while ((await session.info()).n_prepared_pairs < step.prepared) {
-      assert.ok(Date.now() < deadline, 'the seams were not prepared')
-      await sleep(20)
-    }
+    await until(async () => (await session.info()).n_prepared_pairs >= step.prepared, 'the seams are prepared')
   } else if (step.reply) {
     const reply = await session.edit(step.edit)
     assertHas(reply, step.reply, place)

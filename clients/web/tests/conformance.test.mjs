@@ -4,13 +4,12 @@ import assert from 'node:assert/strict'
 import { execFile } from 'node:child_process'
 import { readFileSync } from 'node:fs'
 import { after, before, test } from 'node:test'
-import { setTimeout as sleep } from 'node:timers/promises'
 import { fileURLToPath } from 'node:url'
 import { promisify } from 'node:util'
 import { Client, ProblemError, Tracker, combine, decodeNpy } from '../build/index.js'
 import { startDaemon } from '../scripts/daemon.mjs'
 import { committedSchema, schemaOf } from '../scripts/schema.mjs'
-import { R, STIFFNESS, TIP, bar, config, seam, stitch } from './bodies.mjs'
+import { R, STIFFNESS, TIP, bar, bytesOf, config, seam, stitch, until } from './bodies.mjs'
 
 let daemon
 let client
@@ -31,11 +30,9 @@ async function readyBar(changes = {}) {
 /** A bar whose seam is prepared. */
 async function preparedBar() {
   const session = await readyBar({ seams: seam() })
-  while ((await session.info()).n_prepared_pairs < seam().length) await sleep(20)
+  await until(async () => (await session.info()).n_prepared_pairs === seam().length, 'the seam is prepared')
   return session
 }
-
-const bytesOf = (data) => Buffer.from(data.buffer, data.byteOffset, data.byteLength)
 
 test('the types are those of the daemon', async () => {
   const current = await schemaOf(daemon.address)
@@ -279,9 +276,9 @@ test('states arrive, answer to forces and cross an edit without a jump', async (
   assert.ok((await session.simulation()).n_forces >= 1)
   const hold = { id: 2 ** 50 + 1, vertex: TIP, target_m: [0.2, 0.1, 0], stiffness_n_m: 1 }
   await session.grab([hold])
-  while ((await session.simulation()).n_grabs !== 1) await sleep(5)
+  await until(async () => (await session.simulation()).n_grabs === 1, 'it is held')
   await session.grab([], [hold.id])
-  while ((await session.simulation()).n_grabs !== 0) await sleep(5)
+  await until(async () => (await session.simulation()).n_grabs === 0, 'it is let go')
   await session.stopSimulation()
   await session.delete()
 })

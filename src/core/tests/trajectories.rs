@@ -161,6 +161,7 @@ fn reduced_motion_follows_full_order_motion_for_every_law() {
                 "{law:?}, cubature {}: place {place:.4}, energies {energy:.4?}, frequency {frequency:.5}",
                 cubature.is_some()
             );
+            println!("{what}");
             // What is left without cubature is the subspace's part, and time steps four times as long; cubature
             // adds about its own force error.
             let bounds = match cubature {

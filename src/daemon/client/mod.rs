@@ -6,6 +6,7 @@ pub(crate) mod open;
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use sutura_client::proto::edit::{Edit, EditMethod, EditReply, EditRequest};
@@ -188,7 +189,7 @@ pub(crate) async fn info(args: InfoArgs) -> Result<(), ClientError> {
 pub(crate) async fn stitch(args: StitchArgs) -> Result<(), ClientError> {
     let mut pairs = args.pairs;
     if let Some(path) = &args.pairs_file {
-        pairs.extend(read_pairs(path)?);
+        pairs.extend(read_json::<Vec<[u32; 2]>>(path)?);
     }
     let stitch = Edit::Stitch { pairs, stiffness_n_m: args.stiffness };
     let request = EditRequest {
@@ -213,11 +214,16 @@ pub(crate) async fn watch(args: WatchArgs) -> Result<(), ClientError> {
     Ok(())
 }
 
-fn read_pairs(path: &Path) -> Result<Vec<[u32; 2]>, ClientError> {
-    let at_fault =
-        |error: &dyn std::fmt::Display| ClientError::File(format!("{}: {error}", path.display()));
-    let text = std::fs::read_to_string(path).map_err(|error| at_fault(&error))?;
-    serde_json::from_str(&text).map_err(|error| at_fault(&error))
+fn read(path: &Path) -> Result<Vec<u8>, ClientError> {
+    std::fs::read(path).map_err(|error| at_fault(path, &error))
+}
+
+fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, ClientError> {
+    serde_json::from_slice(&read(path)?).map_err(|error| at_fault(path, &error))
+}
+
+fn at_fault(path: &Path, error: &dyn std::fmt::Display) -> ClientError {
+    ClientError::File(format!("{}: {error}", path.display()))
 }
 
 fn print_json(document: &impl Serialize) -> Result<(), ClientError> {
@@ -355,9 +361,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("pairs.json");
         std::fs::write(&path, "[[1, 2], [3, 4]]").unwrap();
-        assert_eq!(read_pairs(&path).unwrap(), [[1, 2], [3, 4]]);
+        assert_eq!(read_json::<Vec<[u32; 2]>>(&path).unwrap(), [[1, 2], [3, 4]]);
         std::fs::write(&path, "[[1, 2],\n [3]]").unwrap();
-        let error = read_pairs(&path).unwrap_err();
+        let error = read_json::<Vec<[u32; 2]>>(&path).unwrap_err();
         assert!(error.is_bad_input());
         let message = error.to_string();
         assert!(message.contains("pairs.json") && message.contains("line 2"), "{message}");

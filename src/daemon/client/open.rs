@@ -1,9 +1,9 @@
 //! `sutura open`: a session of a running daemon on a mesh file.
 
-use super::{ClientArgs, ClientError, print_json, print_session};
+use super::{ClientArgs, ClientError, print_json, print_session, read, read_json};
 use clap::Args;
 use std::io::{IsTerminal, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use sutura_client::proto::event::Event;
 use sutura_client::proto::session::SessionConfig;
 
@@ -27,8 +27,7 @@ pub(crate) struct OpenArgs {
 
 /// Opens a session, waits until it is ready and prints it.
 pub(crate) async fn run(args: OpenArgs) -> Result<(), ClientError> {
-    let mut config: SessionConfig = serde_json::from_slice(&read(&args.config)?)
-        .map_err(|error| at_fault(&args.config, &error))?;
+    let mut config: SessionConfig = read_json(&args.config)?;
     let file_name = |part: Option<&std::ffi::OsStr>| part.map(|p| p.to_string_lossy().into_owned());
     config.name = args.name.or(config.name).or_else(|| file_name(args.mesh.file_stem()));
     let name = file_name(args.mesh.file_name()).unwrap_or_default();
@@ -51,12 +50,4 @@ pub(crate) async fn run(args: OpenArgs) -> Result<(), ClientError> {
         return Ok(writeln!(std::io::stdout(), "{}", info.id)?);
     }
     if args.client.json { print_json(&info) } else { print_session(&info) }
-}
-
-fn read(path: &Path) -> Result<Vec<u8>, ClientError> {
-    std::fs::read(path).map_err(|error| at_fault(path, &error))
-}
-
-fn at_fault(path: &Path, error: &dyn std::fmt::Display) -> ClientError {
-    ClientError::File(format!("{}: {error}", path.display()))
 }

@@ -1,9 +1,8 @@
 //! Figure 7: a free domain stitched to a held one moves in a basis with its six rigid motions and in one without.
 
-use super::{Mover, Scene, Shot, basis, difference, farthest, largest, over_time, reach, stitched};
+use super::{Mover, Scene, Shot, basis, stitched};
 use crate::bodies::Failure;
 use faer::Mat;
-use serde_json::json;
 use std::sync::Arc;
 use sutura_core::build::{Artifacts, Method};
 use sutura_core::reduced::{EvaluatorTables, ReducedModel};
@@ -37,57 +36,24 @@ pub(crate) fn show(scene: &Scene<'_>) -> Result<String, Failure> {
     let movers =
         [stuck, Mover::new("rebuilt, with them", &after), Mover::new("from scratch", &scratch)];
     let course = scene.course(&scratch)?;
-    let motions = movers
-        .iter()
-        .map(|mover| mover.run(course, scene.n_frames))
-        .collect::<Result<Vec<_>, _>>()?;
-    let reaches: Vec<Vec<f64>> =
-        motions.iter().map(|frames| frames.iter().map(|frame| reach(frame)).collect()).collect();
-    let curves: Vec<_> = movers
-        .iter()
-        .zip(&reaches)
-        .map(|(mover, reaches)| over_time(course, mover.name, reaches.iter().copied()))
-        .collect();
-    scene.chart("motion", "largest displacement under gravity", "m", &curves)?;
-    let at = farthest(&motions[2]);
+    let compared = scene.compare(&movers, course)?;
     let titles = [
         ("a_without", "without the six rigid motions of the free domain"),
         ("b_with", "rebuilt, with them"),
     ];
     let pictures: Vec<Shot<'_>> = titles
         .iter()
-        .zip(&motions)
-        .map(|((name, title), frames)| Shot {
+        .zip(&compared.frames)
+        .map(|((name, title), displacement)| Shot {
             name,
             title,
             caption: "",
-            displacement: &frames[at],
+            displacement,
             stitches: pairs,
         })
         .collect();
     scene.pictures(&before, &pictures)?;
-    let top = largest(reaches[2].iter().copied());
-    let mut text = String::from(
-        "| basis | columns | largest displacement, of that from scratch | largest difference of a frame, root \
-         mean square, of the largest displacement |\n|---|---|---|---|\n",
-    );
-    for (k, mover) in movers.iter().enumerate() {
-        let apart = largest(motions[k].iter().zip(&motions[2]).map(|(a, b)| difference(a, b)));
-        text += &format!(
-            "| {} | {} | {:.3} | {:.4} |\n",
-            mover.name,
-            mover.model.r(),
-            largest(reaches[k].iter().copied()) / top,
-            apart / top
-        );
-    }
-    scene.data(&json!({
-        "body": scene.body.name, "n_stitches": pairs.len(), "n_rigid_modes": before.n_rigid_modes(),
-        "dt_s": course.dt_s, "gravity_m_s2": course.gravity_m_s2,
-        "bases": movers.iter().map(|mover| mover.name).collect::<Vec<_>>(),
-        "largest_displacement_m": reaches,
-    }))?;
-    Ok(text)
+    Ok(compared.text)
 }
 
 /// Orthonormal combinations (r × (r − n_rigid)) of the basis's columns in which no rigid motion has a part.
