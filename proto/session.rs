@@ -137,12 +137,25 @@ pub struct BasisConfig {
     pub size: usize,
     /// The lowest so many modes contribute all their pairwise derivatives. Default: 8.
     pub n_derivative_modes: usize,
+    /// How the columns are chosen among modes and derivatives. Default: `snapshots`.
+    pub pca: PcaConfig,
 }
 
 impl Default for BasisConfig {
     fn default() -> Self {
-        BasisConfig { size: 60, n_derivative_modes: 8 }
+        BasisConfig { size: 60, n_derivative_modes: 8, pca: PcaConfig::default() }
     }
+}
+
+/// How principal components in the mass inner product are found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PcaConfig {
+    /// From the Gram matrix of all columns.
+    #[default]
+    Snapshots,
+    /// From random combinations of the columns.
+    Randomized,
 }
 
 /// Cubature training.
@@ -157,12 +170,35 @@ pub struct CubatureConfig {
     pub tolerance: f64,
     /// Seed of the poses and of the candidates. Default: 1.
     pub seed: u64,
+    /// How points are chosen. Default: `greedy_nnls`.
+    pub selection: SelectionConfig,
 }
 
 impl Default for CubatureConfig {
     fn default() -> Self {
-        CubatureConfig { n_points: 120, n_training_poses: 100, tolerance: 0.05, seed: 1 }
+        CubatureConfig {
+            n_points: 120,
+            n_training_poses: 100,
+            tolerance: 0.05,
+            seed: 1,
+            selection: SelectionConfig::default(),
+        }
     }
+}
+
+/// How cubature points are chosen among the tets.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SelectionConfig {
+    /// Greedy non-negative least squares over random candidates.
+    #[default]
+    GreedyNnls,
+    /// Non-negative hard thresholding pursuit over random candidates.
+    NnHtp,
+    /// Sparse non-negative least squares over every tet (energy-conserving sampling and weighting).
+    SparseNnls,
+    /// Empirical cubature over every tet.
+    EmpiricalCubature,
 }
 
 /// Rayleigh damping D = α M + β K.

@@ -90,12 +90,12 @@ pub(crate) fn config() -> SessionConfig {
         name: Some("bar".to_owned()),
         fixed_vertices: (0..N_HALF / n).map(|row| row * n).collect(),
         n_modes: 8,
-        basis: BasisConfig { size: 24, n_derivative_modes: 5 },
+        basis: BasisConfig { size: 24, n_derivative_modes: 5, ..BasisConfig::default() },
         cubature: Some(CubatureConfig {
             n_points: 60,
             n_training_poses: 40,
             tolerance: CUBATURE_TOLERANCE,
-            seed: 1,
+            ..CubatureConfig::default()
         }),
         ..SessionConfig::new(MaterialConfig::stvk(5e5, 0.4, 1000.0))
     }

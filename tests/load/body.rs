@@ -45,12 +45,16 @@ pub(crate) async fn open(
         name: Some(format!("load-{index}")),
         fixed_vertices,
         n_modes: options.modes,
-        basis: BasisConfig { size: options.basis, n_derivative_modes: options.modes.min(5) },
+        basis: BasisConfig {
+            size: options.basis,
+            n_derivative_modes: options.modes.min(5),
+            ..BasisConfig::default()
+        },
         cubature: Some(CubatureConfig {
             n_points: options.points,
             n_training_poses: 40,
             tolerance: 0.2,
-            seed: 1,
+            ..CubatureConfig::default()
         }),
         seams: all_pairs.clone(),
         ..SessionConfig::new(material)

@@ -3693,6 +3693,11 @@ export interface components {
              */
             n_derivative_modes?: number;
             /**
+             * @description How the columns are chosen among modes and derivatives. Default: `snapshots`.
+             * @default snapshots
+             */
+            pca?: components["schemas"]["PcaConfig"];
+            /**
              * @description Columns of the basis. Default: 60.
              * @default 60
              */
@@ -3798,6 +3803,11 @@ export interface components {
              * @default 1
              */
             seed?: number;
+            /**
+             * @description How points are chosen. Default: `greedy_nnls`.
+             * @default greedy_nnls
+             */
+            selection?: components["schemas"]["SelectionConfig"];
             /**
              * Format: double
              * @description Relative reduced-force error at which training stops. Default: 0.05.
@@ -4267,6 +4277,11 @@ export interface components {
                 to_m: number[];
             };
         };
+        /**
+         * @description How principal components in the mass inner product are found.
+         * @enum {string}
+         */
+        PcaConfig: "snapshots" | "randomized";
         /** @description An RFC 9457 problem document (`application/problem+json`). */
         Problem: {
             /** @description What happened this time: names the offending vertex, tet, member or limit. */
@@ -4295,6 +4310,11 @@ export interface components {
             /** @description Pairs of co-located vertices (zero-based) that may be stitched later. */
             pairs: number[][];
         };
+        /**
+         * @description How cubature points are chosen among the tets.
+         * @enum {string}
+         */
+        SelectionConfig: "greedy_nnls" | "nn_htp" | "sparse_nnls" | "empirical_cubature";
         /**
          * @description What a session is made from. The mesh is either inline (`mesh`, in a JSON request) or a file
          *     (the `mesh` part of a multipart request, which leaves this member out).

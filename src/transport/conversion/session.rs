@@ -7,13 +7,15 @@ use crate::problem::{self, Kind, Problem};
 use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use sutura_core::build::{BuildParams, CubatureParams, MassKind, RayleighDamping, Selection};
+use sutura_core::build::{
+    BuildParams, CubatureParams, MassKind, PcaMethod, RayleighDamping, Selection,
+};
 use sutura_core::edit::{EditState, STIFFNESS_FACTOR_RANGE};
 use sutura_core::material::{Law, Material};
 use sutura_core::mesh::{MeshFile, MeshLimits, NamedFile, TetMesh, read_files};
 use sutura_proto::session::{
     self as wire, BasisConfig, CubatureConfig, DampingConfig, MassConfig, MaterialConfig,
-    MaterialLaw, MeshConfig, SessionConfig,
+    MaterialLaw, MeshConfig, PcaConfig, SelectionConfig, SessionConfig,
 };
 use sutura_store::{CreateSession, SessionInfo, SessionState};
 
@@ -120,14 +122,22 @@ fn build_params(
         },
         n_modes: config.n_modes,
         basis_size: config.basis.size,
-        pca: Default::default(),
+        pca: match config.basis.pca {
+            PcaConfig::Snapshots => PcaMethod::Snapshots,
+            PcaConfig::Randomized => PcaMethod::Randomized,
+        },
         n_derivative_modes: config.basis.n_derivative_modes,
         cubature: config.cubature.as_ref().map(|cubature| CubatureParams {
             n_points: cubature.n_points,
             n_training_poses: cubature.n_training_poses,
             tolerance: cubature.tolerance,
             seed: cubature.seed,
-            selection: Selection::default(),
+            selection: match cubature.selection {
+                SelectionConfig::GreedyNnls => Selection::GreedyNnls,
+                SelectionConfig::NnHtp => Selection::NnHtp,
+                SelectionConfig::SparseNnls => Selection::SparseNnls,
+                SelectionConfig::EmpiricalCubature => Selection::EmpiricalCubature,
+            },
         }),
         damping: RayleighDamping {
             mass_per_s: config.damping.rayleigh_mass_per_s,
@@ -278,12 +288,22 @@ fn parameters(
         basis: BasisConfig {
             size: params.basis_size,
             n_derivative_modes: params.n_derivative_modes,
+            pca: match params.pca {
+                PcaMethod::Snapshots => PcaConfig::Snapshots,
+                PcaMethod::Randomized => PcaConfig::Randomized,
+            },
         },
         cubature: params.cubature.map(|cubature| CubatureConfig {
             n_points: cubature.n_points,
             n_training_poses: cubature.n_training_poses,
             tolerance: cubature.tolerance,
             seed: cubature.seed,
+            selection: match cubature.selection {
+                Selection::GreedyNnls => SelectionConfig::GreedyNnls,
+                Selection::NnHtp => SelectionConfig::NnHtp,
+                Selection::SparseNnls => SelectionConfig::SparseNnls,
+                Selection::EmpiricalCubature => SelectionConfig::EmpiricalCubature,
+            },
         }),
         damping: DampingConfig {
             rayleigh_mass_per_s: params.damping.mass_per_s,
@@ -328,6 +348,33 @@ mod tests {
         assert_eq!(shown.cubature, Some(CubatureConfig::default()));
         assert_eq!(shown.damping, DampingConfig::default());
         assert_eq!(shown.domain_materials[&7].young_modulus_pa, 5e5);
+    }
+
+    #[test]
+    fn methods_are_chosen_by_name_and_shown_again() {
+        let pca = [("snapshots", PcaMethod::Snapshots), ("randomized", PcaMethod::Randomized)];
+        for (name, method) in pca {
+            let config = config(|c| c["basis"] = serde_json::json!({"pca": name}));
+            let request = created(&config, None).unwrap();
+            assert_eq!(request.params.pca, method);
+            let shown = parameters(&request.params, 0, &request.mesh);
+            assert_eq!(serde_json::to_value(shown.basis.pca).unwrap(), name);
+        }
+        let selections = [
+            ("greedy_nnls", Selection::GreedyNnls),
+            ("nn_htp", Selection::NnHtp),
+            ("sparse_nnls", Selection::SparseNnls),
+            ("empirical_cubature", Selection::EmpiricalCubature),
+        ];
+        for (name, method) in selections {
+            let config = config(|c| c["cubature"] = serde_json::json!({"selection": name}));
+            let request = created(&config, None).unwrap();
+            assert_eq!(request.params.cubature.unwrap().selection, method);
+            let shown = parameters(&request.params, 0, &request.mesh);
+            assert_eq!(serde_json::to_value(shown.cubature.unwrap().selection).unwrap(), name);
+        }
+        let unknown = config(|c| c["cubature"] = serde_json::json!({"selection": "best"}));
+        assert_eq!(created(&unknown, None).unwrap_err().pointer.unwrap(), "/cubature/selection");
     }
 
     #[test]
