@@ -18,8 +18,8 @@ use std::time::Instant;
 use sutura_core::reduced::contact::ContactSurface;
 use sutura_core::reduced::{Grab, Simulation, VertexRows};
 
-/// Messages handled between two rounds of steps, at most: a flood of them must not stop the steps.
-const MESSAGES_A_ROUND: usize = 256;
+/// Messages handled between two steps, at most: a flood of them must not stop the steps.
+const MESSAGES_AT_ONCE: usize = 256;
 
 /// What a caller who finds the mailbox full is told to wait, in s.
 const MAILBOX_RETRY_AFTER_S: u64 = 1;
@@ -328,7 +328,7 @@ fn run(messages: &Receiver<Message>) {
         };
         match first {
             Ok(message) => {
-                let others = messages.try_iter().take(MESSAGES_A_ROUND - 1);
+                let others = messages.try_iter().take(MESSAGES_AT_ONCE - 1);
                 for message in std::iter::once(message).chain(others) {
                     handle(message, &mut simulations);
                 }
@@ -337,7 +337,15 @@ fn run(messages: &Receiver<Message>) {
             Err(RecvTimeoutError::Disconnected) => return,
         }
         simulations.retain(|s| !s.shared.stopped.load(Ordering::Relaxed));
-        for simulation in &mut simulations {
+        for index in 0..simulations.len() {
+            // What came during the step before may be for this one: not a step later.
+            for message in messages.try_iter().take(MESSAGES_AT_ONCE) {
+                handle(message, &mut simulations);
+            }
+            let simulation = &mut simulations[index];
+            if simulation.shared.stopped.load(Ordering::Relaxed) {
+                continue;
+            }
             let now = epoch.elapsed();
             let dt_s = simulation.config.params.dt_s;
             let pace = simulation.pace.get_or_insert_with(|| Pace::new(now, dt_s));

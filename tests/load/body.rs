@@ -21,6 +21,18 @@ struct Description {
     all_pairs: Vec<[u32; 2]>,
 }
 
+/// The bundled stomach: its material and the vertices that hold it.
+pub(crate) fn held() -> Result<(MaterialConfig, Vec<u32>), Failure> {
+    let Description { domain_materials, fixed_vertices, .. } = description()?;
+    let material = *domain_materials.values().next().ok_or("no material")?;
+    Ok((material, fixed_vertices))
+}
+
+/// The bundled stomach's mesh.
+pub(crate) fn mesh() -> Result<Vec<u8>, Failure> {
+    read("stomach_small.msh")
+}
+
 fn description() -> Result<Description, Failure> {
     Ok(serde_json::from_slice(&read("stomach_small.json")?)?)
 }
@@ -35,8 +47,8 @@ pub(crate) async fn open(
     options: Options,
     index: usize,
 ) -> Result<Session, Failure> {
-    let Description { domain_materials, fixed_vertices, all_pairs } = description()?;
-    let mut material = *domain_materials.values().next().ok_or("no material")?;
+    let (mut material, fixed_vertices) = held()?;
+    let all_pairs = description()?.all_pairs;
     if !options.same_body {
         // Another stiffness makes another body.
         material.young_modulus_pa *= 1.0 + 1e-3 * index as f64;
@@ -59,7 +71,7 @@ pub(crate) async fn open(
         seams: all_pairs.clone(),
         ..SessionConfig::new(material)
     };
-    let session = client.create_from_file("stomach_small.msh", read("stomach_small.msh")?, &config);
+    let session = client.create_from_file("stomach_small.msh", mesh()?, &config);
     let session = session.await?;
     session.wait_ready(|_| {}).await?;
     let deadline = Instant::now() + PATIENCE;

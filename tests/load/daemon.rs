@@ -14,11 +14,13 @@ use tokio::time::Instant;
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Metrics that are kept second by second, summed over their labels.
-const KEPT: [&str; 8] = [
+const KEPT: [&str; 10] = [
     "process_resident_memory_bytes",
     "sutura_body_bytes",
     "sutura_steps_total",
     "sutura_steps_late_total",
+    "sutura_step_seconds_sum",
+    "sutura_step_delay_seconds_sum",
     "sutura_frames_dropped_total",
     "sutura_shed_total",
     "sutura_edits_waiting",
@@ -105,6 +107,12 @@ impl Daemon {
                 samples.lock().unwrap_or_else(PoisonError::into_inner).push(sample);
             }
         }
+    }
+
+    /// The metrics that are kept, now.
+    pub(crate) async fn metrics(&self) -> Result<BTreeMap<String, f64>, Failure> {
+        let reply = plain_http().get(format!("{}/metrics", self.http)).send().await?;
+        Ok(values(&reply.text().await?))
     }
 
     pub(crate) fn samples(&self) -> Vec<Sample> {

@@ -4,10 +4,13 @@
 //! `report.json` and `load.svg`. Edits arrive by the clock (an open loop): whether or not the last one is
 //! answered, the next one is sent when it is due, and its latency counts from then. Without options this is
 //! a test of a few seconds that no edit is lost.
+//!
+//! `--latency 1000` measures, instead, from a force message to the first state that shows it.
 
 mod arrivals;
 mod body;
 mod daemon;
+mod latency;
 mod picture;
 #[path = "../plain_http.rs"]
 mod plain_http;
@@ -102,6 +105,9 @@ struct Options {
     /// The daemon's configuration; otherwise its defaults, with room for the sessions.
     #[arg(long)]
     config: Option<PathBuf>,
+    /// Measures the latency of so many forces over WebSocket and Zenoh each, and nothing else.
+    #[arg(long)]
+    latency: Option<usize>,
     /// Where to write the report and the picture.
     #[arg(long)]
     out: Option<PathBuf>,
@@ -132,6 +138,15 @@ async fn main() -> ExitCode {
     if options.harness.skips() {
         return ExitCode::SUCCESS;
     }
+    if let Some(n) = options.latency {
+        return match latency(&options, n).await {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(error) => {
+                eprintln!("{error}");
+                ExitCode::FAILURE
+            }
+        };
+    }
     match run(&options).await {
         Ok(summary) if summary.n_lost == 0 && summary.n_acknowledged > 0 => ExitCode::SUCCESS,
         Ok(_) => {
@@ -142,6 +157,20 @@ async fn main() -> ExitCode {
             eprintln!("{error}");
             ExitCode::FAILURE
         }
+    }
+}
+
+/// Measures latencies; an error if a force shows in no state.
+async fn latency(options: &Options, n: usize) -> Result<(), Failure> {
+    let report = latency::measure(options, n).await?;
+    println!("{report}");
+    if let Some(folder) = &options.out {
+        std::fs::create_dir_all(folder)?;
+        std::fs::write(folder.join("latency.json"), serde_json::to_vec_pretty(&report)?)?;
+    }
+    match report.n_unanswered() {
+        0 => Ok(()),
+        n => Err(format!("{n} forces showed in no state").into()),
     }
 }
 
@@ -165,7 +194,13 @@ async fn run(options: &Options) -> Result<Summary, Failure> {
     let watching = tokio::spawn(daemon.watcher(start));
     let streams: Vec<_> = doors
         .iter()
-        .map(|door| tokio::spawn(states::follow(door.clone(), options.publish_hz, end)))
+        .map(|door| {
+            tokio::spawn(states::follow(
+                door.clone(),
+                options.publish_hz,
+                tokio::time::sleep_until(end),
+            ))
+        })
         .collect();
     let arrivals = doors.iter().enumerate().map(|(i, door)| {
         // Spread over the first period.

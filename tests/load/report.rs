@@ -20,7 +20,7 @@ pub(crate) struct Times {
 }
 
 impl Times {
-    fn of(histogram: &Histogram<u64>) -> Times {
+    pub(crate) fn of(histogram: &Histogram<u64>) -> Times {
         let ms = |micros: u64| micros as f64 / 1e3;
         let at = |quantile: f64| ms(histogram.value_at_quantile(quantile));
         let (p50_ms, p95_ms, p99_ms) = (at(0.5), at(0.95), at(0.99));

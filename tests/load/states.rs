@@ -3,8 +3,9 @@
 use crate::arrivals::{histogram, record};
 use crate::{Door, Failure};
 use hdrhistogram::Histogram;
+use std::pin::pin;
 use std::time::Duration;
-use tokio::time::{Instant, timeout_at};
+use tokio::time::Instant;
 
 /// The states of one session, or of all.
 pub(crate) struct States {
@@ -31,16 +32,25 @@ impl States {
     }
 }
 
-/// Follows a session's states until `end`.
-pub(crate) async fn follow(door: Door, publish_hz: f64, end: Instant) -> Result<States, Failure> {
+/// Follows a session's states until `end` is ready.
+pub(crate) async fn follow(
+    door: Door,
+    publish_hz: f64,
+    end: impl Future<Output = ()> + Send,
+) -> Result<States, Failure> {
+    let mut end = pin!(end);
     let mut stream = match &door {
         Door::Http(session) => session.states().await?,
         Door::Zenoh(session) => session.states().await?,
     };
     let mut states = States::new()?;
     let mut last: Option<(u64, Instant)> = None;
-    while let Ok(next) = timeout_at(end, stream.next()).await {
-        let Some(state) = next? else { break };
+    loop {
+        let next = tokio::select! {
+            next = stream.next() => next?,
+            () = end.as_mut() => break,
+        };
+        let Some(state) = next else { break };
         let now = Instant::now();
         states.n_received += 1;
         if let Some((sequence, at)) = last {
