@@ -195,6 +195,9 @@ pub struct BaseState {
     fixed_vertices: BTreeSet<u32>,
     /// By domain label; domains as they were built are not listed.
     stiffness_factors: BTreeMap<i64, f64>,
+    /// Stitches that the stiffness holds, by their pairs, ends ascending, with their stiffness in N/m
+    /// ([`EditState::rebased`]).
+    folded: BTreeMap<[u32; 2], f64>,
 }
 
 impl PartialEq for BaseState {
@@ -203,10 +206,16 @@ impl PartialEq for BaseState {
         (Arc::ptr_eq(&self.mesh, &other.mesh) || self.mesh == other.mesh)
             && self.fixed_vertices == other.fixed_vertices
             && self.stiffness_factors == other.stiffness_factors
+            && self.folded == other.folded
     }
 }
 
 impl BaseState {
+    fn new(mesh: Arc<TetMesh>, fixed_vertices: BTreeSet<u32>) -> BaseState {
+        let (stiffness_factors, folded) = (BTreeMap::new(), BTreeMap::new());
+        BaseState { mesh, fixed_vertices, stiffness_factors, folded }
+    }
+
     /// Whether both ends of a pair are held.
     fn are_fixed(&self, pair: [u32; 2]) -> bool {
         pair.iter().all(|v| self.fixed_vertices.contains(v))
@@ -232,6 +241,17 @@ impl BaseState {
     pub fn stiffness_factors(&self) -> &BTreeMap<i64, f64> {
         &self.stiffness_factors
     }
+
+    /// The stitches that the stiffness holds, by their pairs, ends ascending, with their stiffness in N/m.
+    pub fn folded(&self) -> &BTreeMap<[u32; 2], f64> {
+        &self.folded
+    }
+
+    /// The same as stitches. Their names are of no use.
+    pub(crate) fn folded_stitches(&self) -> Vec<Stitch> {
+        let stitch = |(&pair, &stiffness_n_m)| Stitch { id: 0, pair, stiffness_n_m };
+        self.folded.iter().map(stitch).collect()
+    }
 }
 
 /// What edits have made of a body.
@@ -247,11 +267,8 @@ impl EditState {
     /// The body as it is built: `fixed_vertices` of the mesh are held.
     pub fn new(mesh: Arc<TetMesh>, fixed_vertices: &[u32]) -> EditState {
         let fixed_vertices = fixed_vertices.iter().copied().collect();
-        EditState {
-            base: BaseState { mesh, fixed_vertices, stiffness_factors: BTreeMap::new() },
-            stitches: Vec::new(),
-            next_id: 0,
-        }
+        let base = BaseState::new(mesh, fixed_vertices);
+        EditState { base, stitches: Vec::new(), next_id: 0 }
     }
 
     /// A state that was taken apart before, checked again as far as anything could fail by it.
@@ -260,6 +277,7 @@ impl EditState {
         fixed_vertices: BTreeSet<u32>,
         stiffness_factors: BTreeMap<i64, f64>,
         stitches: Vec<Stitch>,
+        folded: BTreeMap<[u32; 2], f64>,
         next_id: StitchId,
     ) -> Result<EditState, EditError> {
         let n_vertices = mesh.vertices().len();
@@ -267,11 +285,8 @@ impl EditState {
             let (edit, kind, position) = (0, EditKind::Fix, 0);
             return Err(EditError::VertexOutOfRange { edit, kind, position, vertex, n_vertices });
         }
-        let mut state = EditState {
-            base: BaseState { mesh, fixed_vertices, stiffness_factors: BTreeMap::new() },
-            stitches: Vec::new(),
-            next_id,
-        };
+        let base = BaseState::new(mesh, fixed_vertices);
+        let mut state = EditState { base, stitches: Vec::new(), next_id };
         for (domain, factor) in stiffness_factors {
             state.scale_stiffness(0, domain, factor)?;
         }
@@ -285,6 +300,8 @@ impl EditState {
             }
         }
         state.stitches = stitches;
+        state.base.folded = folded;
+        state.unfold();
         Ok(state)
     }
 
@@ -301,6 +318,38 @@ impl EditState {
     /// The stitches in force.
     pub fn stitches(&self) -> &[Stitch] {
         &self.stitches
+    }
+
+    /// Those of them that the base body's stiffness does not hold: what an update adds to it.
+    pub fn open_stitches(&self) -> Vec<Stitch> {
+        self.stitches.iter().copied().filter(|stitch| !self.is_folded(stitch)).collect()
+    }
+
+    /// The same body with all stitches in the stiffness of its base body: so that updates begin from it
+    /// as it is now.
+    pub fn rebased(&self) -> EditState {
+        let mut state = self.clone();
+        state.base.folded =
+            self.stitches.iter().map(|s| (sorted(s.pair), s.stiffness_n_m)).collect();
+        state
+    }
+
+    /// Whether there are stitches and the base body's stiffness holds all of them.
+    pub fn is_folded_whole(&self) -> bool {
+        !self.stitches.is_empty() && self.stitches.iter().all(|stitch| self.is_folded(stitch))
+    }
+
+    fn is_folded(&self, stitch: &Stitch) -> bool {
+        self.base.folded.get(&sorted(stitch.pair)) == Some(&stitch.stiffness_n_m)
+    }
+
+    /// Updates add to the base body and take nothing from it: one that holds a stitch that there is no
+    /// more, or that has another stiffness, serves no longer. The one without any does.
+    fn unfold(&mut self) {
+        let n_folded = self.stitches.iter().filter(|stitch| self.is_folded(stitch)).count();
+        if n_folded < self.base.folded.len() {
+            self.base.folded.clear();
+        }
     }
 
     /// Applies `edits` in order and returns the new state with the names given to new stitches.
@@ -359,6 +408,7 @@ impl EditState {
                 }
             }
         }
+        new.unfold();
         // Edits take effect together: what one fixes another may release.
         let last_fix = edits.iter().rposition(|change| change.kind() == EditKind::Fix);
         if let Some(edit) = last_fix.filter(|_| new.nothing_is_free()) {

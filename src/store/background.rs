@@ -1,4 +1,4 @@
-//! Work that nobody waits for: seams, and what a deadline left undone.
+//! Work that nobody waits for: seams, what a deadline left undone, and new base bodies.
 //!
 //! It comes after edits and builds, one task at a time. Losing some of it loses time, nothing else.
 
@@ -11,7 +11,7 @@ use crate::store::Shared;
 use crate::tasks::keep;
 use crate::work::PREPARATION;
 use std::sync::Arc;
-use sutura_core::build::{Method, RebuildParams, prepare_seams, rebuild};
+use sutura_core::build::{Artifacts, Method, RebuildParams, prepare_seams, rebase, rebuild};
 use sutura_core::control::Control;
 
 /// Behind everything that somebody waits for.
@@ -85,24 +85,44 @@ impl Shared {
         }
     }
 
-    /// Finishes the current generation of `session` if a deadline left it unfinished.
+    /// Whether a base body that holds the stitches of `body` would serve further edits better than the one
+    /// that it is an update of.
+    fn is_far_from_base(&self, body: &Artifacts) -> bool {
+        let n_open = body.n_open_stitches();
+        // Beyond, not all of them could be prepared.
+        let most_prepared = self.config.limits.max_seam_bytes / body.prepared_pair_bytes().max(1);
+        let most = self.config.work.max_open_stitches.min(most_prepared);
+        n_open > most || (n_open > 0 && !body.modes_are_met())
+    }
+
+    /// Finishes the current generation of `session` if a deadline left it unfinished, and makes it anew where
+    /// its base body serves no longer.
     fn improve_later(self: &Arc<Self>, session: &Arc<LiveSession>) {
         let Ok(generation) = session.generation(GenerationRef::Current) else { return };
-        if !generation.artifacts.certificate().is_unfinished {
+        let is_unfinished = generation.artifacts.certificate().is_unfinished;
+        // Who asked for another method has it.
+        let is_update = generation.made_by == Some(Method::Flexibility);
+        let serves = !is_update || !self.is_far_from_base(&generation.artifacts);
+        if !is_unfinished && serves {
             return;
         }
         let live = session.clone();
+        let store = self.clone();
         let run = move |cancel: &CancelFlag| {
             let _span = tracing::info_span!("improvement", session = %live.id).entered();
             // An edit has come in between: it starts from what there was.
             if !live.is_current(generation.number) {
                 return;
             }
-            let control = TaskControl::silent(cancel);
+            let admits = |n_bytes: usize| store.make_room(n_bytes, live.id);
+            let control = TaskControl::silent(cancel).within(&admits);
             let params = RebuildParams::new(Method::Flexibility, generation.tolerance);
             let improved = catching("an improvement", || {
-                let made = rebuild(&generation.artifacts, &[], &params, &control);
-                Ok(made.map_err(StoreError::from)?.0)
+                let made = match is_unfinished {
+                    true => rebuild(&generation.artifacts, &[], &params, &control).map(|(a, _)| a),
+                    false => rebase(&generation.artifacts, &control),
+                };
+                made.map_err(StoreError::from)
             });
             match improved {
                 Ok(artifacts) => {

@@ -45,6 +45,9 @@ pub struct WorkConfig {
     pub stepping_queue_limit: usize,
     /// Generations of a session that stay retrievable, the current one included.
     pub n_kept_generations: usize,
+    /// Stitches that edits may add to a base body; where there are more, a base body that holds them is
+    /// prepared in the background.
+    pub max_open_stitches: usize,
     /// Shortest time between two progress events of one stage.
     pub progress_interval: Duration,
     /// Events a slow subscriber may fall behind before it loses the oldest.
@@ -66,6 +69,7 @@ impl Default for WorkConfig {
             max_query_wait: Duration::from_secs(10),
             stepping_queue_limit: 1024,
             n_kept_generations: 8,
+            max_open_stitches: 256,
             progress_interval: Duration::from_millis(100),
             event_backlog: 256,
             frame_backlog: 16,

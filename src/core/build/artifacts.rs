@@ -9,7 +9,7 @@ use crate::assembly::sparse::BlockMatrix;
 use crate::control::Stage;
 use crate::cubature::Rule;
 use crate::dictionary::{Block, Combination};
-use crate::edit::{BaseState, EditState, Stitch};
+use crate::edit::{BaseState, EditState, Stitch, sorted};
 use crate::factorization::SparseCholesky;
 use crate::linalg;
 use crate::mesh::TetMesh;
@@ -237,21 +237,31 @@ impl Artifacts {
         let [lower, upper] = self.spectrum.worst_errors();
         let cubature_error = self.cubature.map(|report| report.validation_error);
         let allowed = self.params().cubature.map_or(f64::INFINITY, |cubature| cubature.tolerance);
-        let modes_met = self.tolerance.is_none_or(|t| self.spectrum.beyond(t).is_empty());
         Certificate {
             verdict: self.verdict,
             lower_eigenvalue_error: lower,
             upper_eigenvalue_error: upper,
             basis_angle: self.spectrum.worst_angle(),
             cubature_error,
-            is_met: modes_met && cubature_error.is_none_or(|error| error <= allowed),
+            is_met: self.modes_are_met() && cubature_error.is_none_or(|error| error <= allowed),
             is_unfinished: self.is_unfinished,
         }
     }
-    /// Those of `pairs` that no seam of the base body holds.
+    /// Whether the modes are within the tolerance asked for, if any was.
+    pub fn modes_are_met(&self) -> bool {
+        self.tolerance.is_none_or(|tolerance| self.spectrum.beyond(tolerance).is_empty())
+    }
+    /// Stitches that the base body does not hold: what each update of it adds.
+    pub fn n_open_stitches(&self) -> usize {
+        self.state.open_stitches().len()
+    }
+    /// Those of `pairs` that neither a seam of the base body nor the base body itself holds.
     pub fn unprepared(&self, pairs: impl IntoIterator<Item = [u32; 2]>) -> Vec<[u32; 2]> {
-        let seams = self.prepared.seams();
-        pairs.into_iter().filter(|pair| seams.position(*pair).is_none()).collect()
+        let (seams, folded) = (self.prepared.seams(), self.prepared.state.folded());
+        let is_missing = |pair: &[u32; 2]| {
+            seams.position(*pair).is_none() && !folded.contains_key(&sorted(*pair))
+        };
+        pairs.into_iter().filter(is_missing).collect()
     }
     /// Bytes that a prepared pair takes: two vectors for each of its three columns.
     pub fn prepared_pair_bytes(&self) -> usize {

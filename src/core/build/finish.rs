@@ -12,6 +12,7 @@ use crate::dictionary::Combination;
 use crate::edit::EditState;
 use crate::linalg;
 use crate::modes::AuditedSpectrum;
+use crate::modes::stitched::StitchMatrix;
 use crate::reduced;
 use std::sync::{Arc, OnceLock};
 
@@ -68,7 +69,7 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
             "modal derivatives have a relative residual of {derivative_residual:.1e}"
         ));
     }
-    let subspace = draft.span.reduce(&prepared, state.stitches(), &weighing)?;
+    let subspace = draft.span.reduce(&prepared, &state.open_stitches(), &weighing)?;
     let size = subspace.basis.n_columns();
     if size < params.basis_size {
         warnings.push(format!(
@@ -103,6 +104,10 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
     let is_free = draft.n_rigid_modes == 6 && state.base().fixed_vertices().is_empty();
     let free = is_free
         .then(|| Arc::new(reduced::free_body(&prepared.model, &prepared.mass, basis.dense())));
+    // Cubature knows of tets alone: to it the stitches that the base body holds are stitches as others.
+    let folded = StitchMatrix::new(&prepared.model, &prepared.state.folded_stitches());
+    let folded = folded.transpose_times_combination(basis);
+    let stretch = linalg::stacked(&[stretch.as_ref(), folded.as_ref()]);
     let model = reduced::reduced_model(
         &prepared.model,
         &rule,

@@ -164,17 +164,20 @@ fn prepare(
     if model.n() == 0 {
         return Err(BuildError::NothingFree);
     }
-    let pattern = Arc::new(model.pattern(&[]));
+    let pairs: Vec<[u32; 2]> = state.folded().keys().copied().collect();
+    let folded = StitchMatrix::new(&model, &state.folded_stitches());
+    let pattern = Arc::new(model.pattern(&pairs));
     let (symbolic, (mass, stiffness, rigid)) = rayon::join(
         || analyse(&pattern, &model),
         || {
             let mass = model.mass(params.mass, &pattern);
-            let stiffness = model.rest_stiffness(&pattern);
+            let mut stiffness = model.rest_stiffness(&pattern);
+            folded.add_to(&mut stiffness);
             let rigid = rigid::rigid_modes(&model, &mass);
             (mass, stiffness, rigid)
         },
     );
-    let (symbolic, rigid) = (symbolic?, rigid?);
+    let (symbolic, rigid) = (symbolic?, update::rigid_left(&folded, rigid?.as_ref())?);
     let n_bytes = PEAK_FACTORS * symbolic.n_values() * size_of::<f64>();
     if !clock.control.admits(n_bytes) {
         return Err(BuildError::OverBudget { n_bytes });
@@ -275,6 +278,22 @@ pub fn rebuild(
         closings,
     };
     Ok((update_base(base, earlier, state, plan, clock)?, ids))
+}
+
+/// `previous` from a base body that holds all of its stitches: the same body, to which edits add less.
+/// What is prepared for the old base body serves no more.
+pub fn rebase(previous: &Artifacts, control: &dyn Control) -> Result<Artifacts, BuildError> {
+    let mut clock = StageClock::start(control);
+    let state = previous.state.rebased();
+    let (base, earlier) = base_for(previous, state.base(), &mut clock)?;
+    let plan = Plan {
+        method: Method::Flexibility,
+        tolerance: previous.tolerance.unwrap_or(previous.origin.tolerance),
+        reuse: previous.cubature.map(|_| (previous.rule.clone(), previous.trained_error)),
+        seams: base.seams(),
+        closings: previous.closings.clone(),
+    };
+    update_base(base, earlier, state, plan, clock)
 }
 
 /// How a generation comes from its base body.

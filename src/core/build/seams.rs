@@ -38,7 +38,7 @@ pub fn prepare_seams(
         return Ok(());
     }
     let mut clock = StageClock::start(control);
-    extend(prepared, &seams, &missing, body.stitches(), control)?;
+    extend(prepared, &seams, &missing, &body.state.open_stitches(), control)?;
     clock.finish(Stage::Seams)?;
     Ok(())
 }

@@ -57,9 +57,9 @@ pub(super) struct PreparedSpan {
 pub(super) struct Subspace {
     pub(super) modes: Combination,
     pub(super) basis: Combination,
-    /// AᵀU (3s×r).
+    /// AᵀU (3s×r) of the stitches that the base body does not hold.
     pub(super) stretch: Mat<f64>,
-    /// UᵀKU without the stitches, where it is known already.
+    /// UᵀKU of the base body, where it is known already.
     pub(super) stiffness: Option<Mat<f64>>,
     /// UᵀM times the modes.
     pub(super) of_modes: Mat<f64>,

@@ -56,10 +56,12 @@ pub(super) fn by_flexibility(
         ));
     }
     clock.finish(Stage::Derivatives)?;
+    // A base body that holds every stitch has these modes itself.
+    let is_base = state.is_folded_whole();
     Ok(Draft {
         prepared,
         state,
-        verdict: Verdict::Patched,
+        verdict: if is_base { Verdict::Rebuilt } else { Verdict::Patched },
         tolerance: Some(tolerance),
         n_rigid_modes,
         weighing: spectrum.eigenvalues.clone(),
@@ -90,7 +92,7 @@ fn in_seams(
     tolerance: f64,
     clock: &mut StageClock<'_>,
 ) -> Result<Option<(AuditedSpectrum, usize, Box<PreparedSpan>)>, BuildError> {
-    let stitches = state.stitches();
+    let stitches = &state.open_stitches();
     let pairs = stitches.iter().map(|s| s.pair);
     let missing: Vec<[u32; 2]> = pairs.filter(|pair| seams.position(*pair).is_none()).collect();
     if missing.len() > PREPARED_ON_THE_WAY {
@@ -147,7 +149,8 @@ fn refined(
     let Prepared { model, mass, factor, sigma, .. } = &*base;
     let control = clock.control;
     let mut warnings = Vec::new();
-    let stitched = StitchedStiffness::new(model, &prepared.stiffness, factor, state.stitches())?;
+    let stitched =
+        StitchedStiffness::new(model, &prepared.stiffness, factor, &state.open_stitches())?;
     control::check(control)?;
     let left = rigid_left(stitched.stitch_matrix(), prepared.rigid())?;
     let n_modes = prepared.params.n_modes;

@@ -6,6 +6,7 @@
 
 use crate::assembly::FullModel;
 use crate::assembly::sparse::BlockMatrix;
+use crate::dictionary::Combination;
 use crate::edit::{Stitch, sorted};
 use crate::factorization::SparseCholesky;
 use crate::linalg::{self, DenseError, SmallCholesky};
@@ -39,6 +40,18 @@ impl StitchMatrix {
     /// `AᵀX` (n×k → 3s×k).
     pub fn transpose_times(&self, x: MatRef<'_, f64>) -> Mat<f64> {
         self.stretch(x, |s| self.root_stiffness[s])
+    }
+
+    /// AᵀU, without the columns of U.
+    pub fn transpose_times_combination(&self, u: &Combination) -> Mat<f64> {
+        let row = |end: Option<usize>, axis| end.map(|v| 3 * v + axis);
+        let ends_of = |side: usize| -> Vec<Option<usize>> {
+            self.ends.iter().flat_map(|ends| [0, 1, 2].map(|axis| row(ends[side], axis))).collect()
+        };
+        let [a, b] = [0, 1].map(|side| u.rows(&ends_of(side)));
+        Mat::from_fn(self.n_columns(), u.n_columns(), |i, j| {
+            self.root_stiffness[i / 3] * (a[(i, j)] - b[(i, j)])
+        })
     }
 
     /// How far X pulls the ends of each stitch apart: AᵀX for unit stiffness.

@@ -48,6 +48,7 @@ fn through_parts(recipe: Recipe) -> Recipe {
         state.base().fixed_vertices().clone(),
         state.base().stiffness_factors().clone(),
         state.stitches().to_vec(),
+        state.base().folded().clone(),
         state.next_id(),
     );
     Recipe { state: state.unwrap(), ..recipe }
@@ -79,6 +80,13 @@ fn every_generation_can_be_made_again_alone() {
     add("inside a seam, in no time", &[], &hurried, &[]);
     add("partly prepared on the way", &stitch(&rest[..2], 1e3), &plain, rest);
     add("inside a larger seam", &stitch(&rest[2..], 1e4), &plain, &[]);
+    let rebased = build::rebase(&line.last().unwrap().1, &Uncontrolled).unwrap();
+    line.push(("rebased", rebased));
+    let mut add = |name, edits: &[Edit], params: &RebuildParams, seam: &[[u32; 2]]| {
+        let made = rebuilt(&line.last().unwrap().1, edits, params);
+        build::prepare_seams(&made, seam, &Uncontrolled).unwrap();
+        line.push((name, made));
+    };
     add("published update", &[Edit::UnstitchAll], &by(Method::LowRank), &[]);
     let scale = Edit::ScaleStiffness { domain: bar.mesh.domains()[0], factor: 3.0 };
     add("another base body", &[scale], &plain, &bar.pairs);
@@ -125,7 +133,7 @@ fn recipes_that_nobody_made_are_refused() {
 
     let state = |fixed: u32, factor: (i64, f64), stitch| {
         let mesh = bar.mesh.clone();
-        EditState::from_parts(mesh, [fixed].into(), [factor].into(), vec![stitch], 1)
+        EditState::from_parts(mesh, [fixed].into(), [factor].into(), vec![stitch], [].into(), 1)
     };
     let stitch = good.state.stitches()[0];
     let domain = bar.mesh.domains()[0];

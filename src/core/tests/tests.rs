@@ -13,6 +13,7 @@ mod interaction;
 mod lanczos;
 mod materials;
 mod modes;
+mod rebasing;
 mod recipes;
 mod reduced;
 mod references;

@@ -31,6 +31,8 @@ pub(super) struct Work {
     stepping_queue_limit: usize,
     #[serde(deserialize_with = "queue")]
     n_kept_generations: usize,
+    #[serde(deserialize_with = "queue")]
+    max_open_stitches: usize,
     #[serde(rename = "progress_interval_s", deserialize_with = "seconds")]
     progress_interval: Duration,
     #[serde(deserialize_with = "queue")]

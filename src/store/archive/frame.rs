@@ -11,7 +11,7 @@ pub(crate) type Digest = [u8; 32];
 const MAGIC: [u8; 4] = *b"SUTR";
 
 /// Of the contents' form; what a later version writes is not read.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 const PREFIX_BYTES: usize = 16;
 const HEADER_BYTES: usize = PREFIX_BYTES + size_of::<Digest>();

@@ -352,6 +352,7 @@ pub(crate) struct RecipeRecord {
     fixed_vertices: Vec<u32>,
     stiffness_factors: Vec<(i64, f64)>,
     stitches: Vec<StitchRecord>,
+    folded: Vec<([u32; 2], f64)>,
     next_stitch_id: u64,
     method: Option<MethodRecord>,
     tolerance: f64,
@@ -432,6 +433,7 @@ impl RecipeRecord {
                 .map(|(label, factor)| (*label, *factor))
                 .collect(),
             stitches: state.stitches().iter().map(stitch).collect(),
+            folded: state.base().folded().iter().map(|(pair, k)| (*pair, *k)).collect(),
             next_stitch_id: state.next_id(),
             method: method.map(MethodRecord::new),
             tolerance: *tolerance,
@@ -458,6 +460,7 @@ impl RecipeRecord {
             self.fixed_vertices.iter().copied().collect(),
             self.stiffness_factors.iter().copied().collect(),
             self.stitches.iter().map(stitch).collect(),
+            self.folded.iter().copied().collect(),
             self.next_stitch_id,
         );
         let rule = |record: &RuleRecord| {

@@ -3,7 +3,8 @@
 use crate::storage::{Entry, LocalFiles, Storage, StorageError};
 use crate::tests::{PATIENCE, create_bars, current, ready, seam, simulation, stitch};
 use crate::{
-    EditRequest, Generation, GenerationRef, SessionId, SessionState, Store, StoreConfig, StoreError,
+    EditRequest, Generation, GenerationRef, SessionId, SessionState, Store, StoreConfig,
+    StoreError, WorkConfig,
 };
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -11,7 +12,7 @@ use std::io::{Error, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use sutura_core::edit::Edit;
 
 fn open(folder: &Path) -> Store {
@@ -111,6 +112,53 @@ async fn everything_acknowledged_is_there_again_with_the_same_bits() {
     store.wake(id).await.unwrap();
     assert!(prints(&store, id) == after);
     assert!(matches!(store.simulation(fork).await, Err(StoreError::NoSimulation)));
+    close(store).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_base_body_that_serves_no_longer_is_replaced_behind_the_edits() {
+    let folder = tempfile::tempdir().unwrap();
+    let open = || {
+        let work = WorkConfig { max_open_stitches: 3, ..WorkConfig::default() };
+        let files = Arc::new(LocalFiles::open(folder.path()).unwrap());
+        Store::open(StoreConfig { work, ..StoreConfig::default() }, files).unwrap()
+    };
+    let store = open();
+    let id = ready(&store).await;
+    let seam = seam();
+    let few = store.edit(id, stitch(&seam[..3])).await.unwrap();
+    let many = store.edit(id, stitch(&seam[3..5])).await.unwrap();
+    assert_eq!([&few, &many].map(|g| g.artifacts.n_open_stitches()), [3, 5]);
+    let rebased = async |store: &Store, number: u64| {
+        let deadline = Instant::now() + PATIENCE;
+        while current(store, id).number < number {
+            assert!(Instant::now() < deadline, "the base body stays");
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        current(store, id)
+    };
+    let next = rebased(&store, many.number + 1).await;
+    assert_eq!((next.number, next.improves), (many.number + 1, Some(many.number)));
+    assert_eq!((next.artifacts.n_open_stitches(), next.artifacts.stitches().len()), (0, 5));
+    let pairs = many.artifacts.eigenvalues_per_s2().iter().zip(next.artifacts.eigenvalues_per_s2());
+    for (a, b) in pairs {
+        assert!((a / b - 1.0).abs() < 1e-2, "{a} {b}");
+    }
+    // To the caller it is the generation of its last edit.
+    let further = EditRequest { base_generation: Some(many.number), ..stitch(&seam[5..7]) };
+    let further = store.edit(id, further).await.unwrap();
+    assert_eq!(further.artifacts.n_open_stitches(), 2);
+    // Taking out what the base body holds leaves all the others to be added to the first one.
+    let unstitch = vec![Edit::Unstitch { stitch_ids: vec![0] }];
+    let taken = store.edit(id, edits(unstitch)).await.unwrap();
+    assert_eq!(taken.artifacts.n_open_stitches(), 6);
+    let last = rebased(&store, taken.number + 1).await;
+    assert_eq!(last.artifacts.n_open_stitches(), 0);
+    let before = prints(&store, id);
+    close(store).await;
+    let store = open();
+    store.wake(id).await.unwrap();
+    assert!(prints(&store, id) == before);
     close(store).await;
 }
 
