@@ -234,3 +234,38 @@ fn a_data_directory_that_cannot_be_used_is_named() {
     let said = String::from_utf8(second.stderr).unwrap();
     assert!(said.contains("another daemon"), "{said}");
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn damaged_keys_are_told_and_let_nobody_else_in() {
+    let scratch = tempfile::tempdir().unwrap();
+    let folder = scratch.path().join("data");
+    let known = key(&folder, "a", "edit");
+    let path = scratch.path().join("log");
+    let log = std::fs::File::create(&path).unwrap();
+    let daemon = Daemon::start_logging(&folder, "warn", log.into());
+    client(&daemon, &known).await;
+
+    // While the daemon runs, the keys that it knows go on, and nothing else opens it.
+    let keys = folder.join("keys.toml");
+    let whole = std::fs::read_to_string(&keys).unwrap();
+    std::fs::write(&keys, format!("{whole}\nthis is no key\n")).unwrap();
+    let begun = Instant::now();
+    while !std::fs::read_to_string(&path).unwrap().contains("those known go on") {
+        assert!(begun.elapsed() < PATIENCE, "the damage went unnoticed");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    client(&daemon, &known).await.list(None, 10).await.unwrap();
+    let wrong = client(&daemon, "sutura_wrong").await;
+    assert_eq!(status(wrong.list(None, 10).await), Some(401));
+    drop(daemon);
+
+    // A start is refused, and names the place.
+    let addresses = ["serve", "--http", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0"];
+    let refused = sutura(&addresses, &folder);
+    let told = String::from_utf8_lossy(&refused.stderr);
+    let line = whole.lines().count() + 2;
+    assert!(!refused.status.success(), "{told}");
+    assert!(told.contains("keys.toml") && told.contains(&format!("line {line}")), "{told}");
+    assert!(!told.contains(&known), "{told}");
+    assert_eq!(std::fs::read_to_string(&keys).unwrap(), format!("{whole}\nthis is no key\n"));
+}

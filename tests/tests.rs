@@ -7,6 +7,7 @@ mod conformance;
 mod daemon;
 mod demo;
 mod disks;
+mod doctor;
 mod durability;
 mod edits;
 mod links;

@@ -1,12 +1,13 @@
 //! A daemon: the store with both its doors open. `sutura serve` is one; anything else in this
 //! process can run one too.
 
-use crate::config::{Config, HalfTls};
+use crate::config::{Config, HalfTls, NoCredentials};
 use crate::keys::{KeyError, KeyStore};
 use metrics_exporter_prometheus::PrometheusHandle;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
+use sutura_objects::{Objects, S3Config};
 use sutura_store::{LocalFiles, OpenError, StorageError, Store, StoreConfig};
 use sutura_transport::bus::{self, Bus, BusError};
 use sutura_transport::{Gateway, Keyring, Tls, TlsError, http};
@@ -27,6 +28,12 @@ pub(crate) enum StartError {
     /// The data directory cannot be used.
     #[error("cannot use the data directory: {0}")]
     Data(#[from] StorageError),
+    /// Nobody is named who may use the object store.
+    #[error(transparent)]
+    NoCredentials(#[from] NoCredentials),
+    /// The object store cannot be used.
+    #[error("cannot use the object store: {0}")]
+    ObjectStore(StorageError),
     /// The keys cannot be read.
     #[error(transparent)]
     Keys(#[from] KeyError),
@@ -85,6 +92,25 @@ async fn watch_keys(keys: KeyStore, mut known: Keyring, gateway: Gateway) {
     }
 }
 
+/// The sessions of an object store, as the daemon of this name. Waits for the network on a thread that may.
+async fn open_fleet(
+    config: StoreConfig,
+    s3: S3Config,
+    daemon: String,
+) -> Result<Store, StartError> {
+    let open = move || {
+        let objects = Objects::s3(&s3, &daemon).map_err(StartError::ObjectStore)?;
+        tracing::info!(
+            bucket = s3.bucket,
+            prefix = s3.prefix,
+            daemon,
+            "sessions are kept in an object store"
+        );
+        Ok(Store::open(config, Arc::new(objects))?)
+    };
+    tokio::task::spawn_blocking(open).await.map_err(std::io::Error::other)?
+}
+
 /// A running daemon.
 pub(crate) struct Daemon {
     store: Store,
@@ -111,9 +137,12 @@ impl Daemon {
             limits: config.limits.clone(),
             memory: config.memory.store(),
         };
-        let store = match &config.data.path.0 {
-            None => Store::new(store_config)?,
-            Some(path) => Store::open(store_config, Arc::new(LocalFiles::open(path)?))?,
+        let bus_config = config.zenoh.bus(tls_files, config.data.path.0.as_deref());
+        let s3 = config.object_store.s3(|name| std::env::var(name).ok())?;
+        let store = match (s3, &config.data.path.0) {
+            (Some(s3), _) => open_fleet(store_config, s3, bus_config.daemon.clone()).await?,
+            (None, Some(path)) => Store::open(store_config, Arc::new(LocalFiles::open(path)?))?,
+            (None, None) => Store::new(store_config)?,
         };
         let gateway = Gateway::new(store.clone(), config.traffic.clone(), recorder);
         let keys = config.data.path.0.as_deref().map(KeyStore::in_folder);
@@ -136,8 +165,7 @@ impl Daemon {
             }
         }
         let watch_keys = keys.map(|keys| tokio::spawn(watch_keys(keys, keyring, gateway.clone())));
-        let bus =
-            bus::open(&gateway, config.zenoh.bus(tls_files, config.data.path.0.as_deref())).await?;
+        let bus = bus::open(&gateway, bus_config).await?;
         let (stop_http, stopped) = oneshot::channel();
         let http = tokio::spawn(http::serve(gateway, listener, tls.clone(), async {
             // Dropping the daemon stops it too.

@@ -6,8 +6,10 @@ use serde::Serialize;
 use std::io::{IsTerminal, Write};
 use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use sutura_client::Client;
+use sutura_objects::Objects;
+use sutura_transport::Tls;
 
 /// Options of `sutura doctor`.
 #[derive(Debug, Args)]
@@ -25,6 +27,12 @@ const LITTLE_MEMORY: u64 = 4 << 30;
 
 /// How long a daemon may take to say that it is there.
 const DAEMON_PATIENCE: Duration = Duration::from_secs(2);
+
+/// Days of a certificate that call for a new one.
+const FEW_DAYS: i64 = 14;
+
+/// Seconds of a day.
+const DAY_S: i64 = 24 * 60 * 60;
 
 /// How a check went.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize)]
@@ -94,6 +102,8 @@ pub(crate) async fn run(args: &DoctorArgs) -> Result<(), DoctorError> {
         files(&config),
         data(&config),
     ];
+    checks.extend(object_store(&config).await);
+    checks.extend(tls(&config));
     let is_served = daemon(&config, &mut checks).await;
     checks.push(port("http", config.http.listen, is_served));
     checks.push(port("zenoh", config.zenoh.listen.0, is_served));
@@ -188,6 +198,64 @@ fn data(config: &Config) -> Check {
             "sessions would not outlast the daemon: serve --data a folder that can be written to, or none",
         ),
     }
+}
+
+/// Whether the bucket of a fleet can be reached and keeps to what the sessions need.
+async fn object_store(config: &Config) -> Option<Check> {
+    const NAME: &str = "objects";
+    let failed =
+        |found: String, advice: &str| Some(Check::not_ok(NAME, Outcome::Failed, found, advice));
+    let s3 = match config.object_store.s3(|name| std::env::var(name).ok()) {
+        Ok(None) => return None,
+        Ok(Some(s3)) => s3,
+        Err(error) => return failed(error.to_string(), "name somebody who may use the bucket"),
+    };
+    let place = format!("{}/{}", s3.bucket, s3.prefix);
+    let open = move || Objects::s3(&s3, "doctor").map(drop).map_err(|error| error.to_string());
+    match tokio::task::spawn_blocking(open).await.unwrap_or_else(|error| Err(error.to_string())) {
+        Ok(()) => Some(Check::ok(NAME, format!("{place} keeps to the conditions of a put"))),
+        Err(error) => failed(
+            format!("{place}: {error}"),
+            "look at [object_store], at the credentials, and at the store",
+        ),
+    }
+}
+
+/// Whether the certificate and its key fit together, and how long they are good.
+fn tls(config: &Config) -> Option<Check> {
+    const NAME: &str = "tls";
+    let failed =
+        |found: String, advice: &str| Some(Check::not_ok(NAME, Outcome::Failed, found, advice));
+    let files = match config.tls.files() {
+        Ok(None) => return None,
+        Ok(Some(files)) => files,
+        Err(error) => return failed(error.to_string(), "name the other file, too"),
+    };
+    let certificate = files.certificate.display().to_string();
+    let validity = Tls::load(files).and_then(|tls| tls.validity_s());
+    let validity = match validity {
+        Ok(validity) => validity,
+        Err(error) => {
+            return failed(error.to_string(), "both files are PEM, and of the same pair of keys");
+        }
+    };
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let now = i64::try_from(since_1970.as_secs()).unwrap_or(i64::MAX);
+    let days = (validity.end() - now).div_euclid(DAY_S);
+    if now < *validity.start() {
+        let found = format!("{certificate} is not good yet");
+        return failed(found, "look at the clock, or wait: no client accepts it before");
+    }
+    if days < 0 {
+        let found = format!("{certificate} expired {} days ago", -days);
+        return failed(found, "renew it, then send SIGHUP to the daemon");
+    }
+    let found = format!("{certificate} fits its key and is good for {days} days");
+    if days < FEW_DAYS {
+        let advice = "renew it, then send SIGHUP to the daemon";
+        return Some(Check::not_ok(NAME, Outcome::Warning, found, advice));
+    }
+    Some(Check::ok(NAME, found))
 }
 
 /// Whether a daemon answers where this one would serve.

@@ -162,6 +162,7 @@ impl Failure {
             Failure::Key(keys::KeyError::Unknown(_) | keys::KeyError::Invalid { .. }) => BAD_INPUT,
             Failure::Start(
                 daemon::StartError::Open { .. }
+                | daemon::StartError::NoCredentials(_)
                 | daemon::StartError::HalfTls(_)
                 | daemon::StartError::Tls(_),
             ) => BAD_INPUT,

@@ -22,6 +22,9 @@ fn behind(session: &LiveSession) -> Place {
 impl Shared {
     /// What the current generation of `session` leaves to be done, queued.
     pub(crate) fn follow_up(self: &Arc<Self>, session: &Arc<LiveSession>) {
+        if self.hand_over_if_taken(session) {
+            return;
+        }
         self.make_room(0, session.id);
         self.prepare_seams_later(session);
         self.improve_later(session);

@@ -13,6 +13,9 @@ pub enum StoreError {
     /// No session has this name.
     #[error("there is no session {0}")]
     NoSession(SessionId),
+    /// Another daemon of the fleet serves the session now. What this call would have changed is not changed.
+    #[error("another daemon has taken session {0} over; ask there")]
+    Taken(SessionId),
     /// The session never had this generation, or no longer keeps it.
     #[error("there is no generation {number}; the session keeps {oldest} to {current}")]
     NoGeneration {
@@ -77,7 +80,7 @@ pub enum StoreError {
     #[error(transparent)]
     Simulation(#[from] SimulationError),
     /// What was to be kept could not be written, or what was kept could not be read.
-    #[error("the data directory failed: {0}")]
+    #[error("the storage failed: {0}")]
     Storage(#[from] StorageError),
     /// What was kept of the session is not what was written.
     #[error("{name} is damaged: {why}")]

@@ -17,6 +17,7 @@ mod config;
 mod control;
 mod error;
 mod event;
+mod fleet;
 mod live;
 mod memory;
 mod metrics;
@@ -40,6 +41,7 @@ mod work;
 pub use config::{Limits, MemoryConfig, StoreConfig, WorkConfig};
 pub use error::{InputError, StoreError};
 pub use event::{Event, EventKind};
+pub use fleet::HAND_OVER;
 pub use metrics::describe_metrics;
 pub use pool::Account;
 pub use session::{
@@ -49,6 +51,6 @@ pub use session::{
 pub use simulation::{
     ContactConfig, Frame, GrabConfig, SimulationConfig, SimulationInfo, VertexForce,
 };
-pub use storage::{Entry, LocalFiles, Storage, StorageError};
+pub use storage::{Entry, LocalFiles, Storage, StorageError, Taken};
 pub use store::{OpenError, Store};
 pub use work::{Load, TaskLoad};

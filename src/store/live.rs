@@ -543,6 +543,13 @@ impl LiveSession {
         std::mem::take(&mut inner.generations)
     }
 
+    /// Ends the session here: another daemon serves it now.
+    pub(crate) fn hand_over(&self) -> Leftovers {
+        let mut inner = self.lock();
+        self.end(&mut inner);
+        std::mem::take(&mut inner.generations)
+    }
+
     /// Ends the simulation, every subscription and every wait: the store is going down.
     pub(crate) fn close(&self) {
         self.end(&mut self.lock());

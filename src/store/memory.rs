@@ -70,7 +70,7 @@ impl Shared {
         self.config.memory.budget_bytes.is_none_or(|budget| self.memory_in_use() <= budget)
     }
 
-    fn all_sessions(&self) -> Vec<Arc<LiveSession>> {
+    pub(crate) fn all_sessions(&self) -> Vec<Arc<LiveSession>> {
         let sessions = self.sessions.read().unwrap_or_else(PoisonError::into_inner);
         sessions.values().cloned().collect()
     }

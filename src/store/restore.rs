@@ -134,6 +134,7 @@ fn is_passing(error: &StoreError) -> bool {
     matches!(
         error,
         StoreError::Cancelled
+            | StoreError::Taken(_)
             | StoreError::Storage(_)
             | StoreError::Build(BuildError::OverBudget { .. })
     )
@@ -162,7 +163,7 @@ fn generations(
     };
     let is_first_kept = current < n_kept as u64 && records.first().is_none_or(|r| r.number > 0);
     if is_first_kept {
-        let mesh = journal.archive().mesh(&session.mesh)?;
+        let mesh = journal.mesh(&session.mesh)?;
         let recipe = Recipe::of_build(EditState::new(mesh, &params.fixed_vertices));
         let begun = control.now();
         let artifacts = remade(&params, &recipe, &kin(&made), prepared, control)?;
@@ -179,7 +180,7 @@ fn generations(
     for record in records {
         let number = record.number;
         let remade = |record: &GenerationRecord| {
-            let mesh = journal.archive().mesh(&record.recipe.mesh)?;
+            let mesh = journal.mesh(&record.recipe.mesh)?;
             let recipe = record.recipe.recipe(mesh).map_err(unreadable)?;
             remade(&params, &recipe, &kin(&made), prepared, control)
         };

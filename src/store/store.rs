@@ -5,6 +5,7 @@ use crate::check;
 use crate::config::StoreConfig;
 use crate::error::StoreError;
 use crate::event::Event;
+use crate::fleet::Fleet;
 use crate::live::{LiveSession, Owner, Surroundings};
 use crate::pool::{Account, CancelFlag, Place, Pool};
 use crate::prepared::PreparedBodies;
@@ -51,6 +52,8 @@ pub(crate) struct Shared {
     pub(crate) to_restore: Mutex<Vec<SessionId>>,
     /// The last name that a session was given.
     pub(crate) newest: Mutex<Option<SessionId>>,
+    /// What other daemons have to do with it.
+    pub(crate) fleet: Fleet,
 }
 
 /// Why a store could not be opened.
@@ -76,6 +79,7 @@ impl Store {
         let (archive, found) = Archive::open(storage)?;
         let store = Self::with(config, Some(archive))?;
         store.shared.adopt(found);
+        store.shared.watch_fleet()?;
         Ok(store)
     }
 
@@ -98,6 +102,7 @@ impl Store {
             archive,
             to_restore: Mutex::default(),
             newest: Mutex::default(),
+            fleet: Fleet::default(),
             config,
         };
         Ok(Store { shared: Arc::new(shared) })
@@ -240,9 +245,8 @@ impl Store {
 
     fn delete_now(&self, id: SessionId) -> Result<(), StoreError> {
         let session = self.session(id)?;
-        if let Some(journal) = &session.journal {
-            journal.delete()?;
-        }
+        let journal = session.journal.as_ref();
+        self.shared.heed(&session, journal.map_or(Ok(()), Journal::delete))?;
         self.sessions_mut().remove(&id).ok_or(StoreError::NoSession(id))?;
         let leftovers = session.delete();
         self.shared.builds.cancel_lane(id);
@@ -303,7 +307,7 @@ impl Store {
         session.check_editable(request.base_generation)?;
         let (reply, answer) = oneshot::channel();
         let store = Arc::downgrade(shared);
-        let config = shared.config.clone();
+        let (config, edited) = (shared.config.clone(), session.clone());
         // What is being improved is about to change.
         session.cancel_improvement();
         let place = Place::new(EDIT).in_lane(id).charged_to(session.account());
@@ -312,13 +316,13 @@ impl Store {
             // The caller's time began when the request came.
             let deadline = request.deadline.map(|time| time.saturating_sub(arrived.elapsed()));
             let request = EditRequest { deadline, ..request };
-            let bring_back = || store.restore(&session, cancel);
+            let bring_back = || store.restore(&edited, cancel);
             let admits = |n_bytes: usize| store.make_room(n_bytes, id);
-            run_edit(&session, &request, &config, cancel, reply, bring_back, &admits);
-            store.follow_up(&session);
+            run_edit(&edited, &request, &config, cancel, reply, bring_back, &admits);
+            store.follow_up(&edited);
         })?;
         let ticket = ticket.cancel_on_drop();
-        ticket.answer(answer).await
+        shared.heed(&session, ticket.answer(answer).await)
     }
 
     /// Names candidate pairs: they are prepared in the background, for this base body and those that
@@ -341,9 +345,8 @@ impl Store {
         let named = session.seams().len() + generation.artifacts.params().seams.len();
         check::seams(named + pairs.len(), &shared.config.limits)?;
         check_seams(&generation.artifacts, pairs)?;
-        if let Some(journal) = &session.journal {
-            journal.add_seams(pairs)?;
-        }
+        let journal = session.journal.as_ref();
+        shared.heed(&session, journal.map_or(Ok(()), |journal| journal.add_seams(pairs)))?;
         let n_named = session.add_seams(pairs) + generation.artifacts.params().seams.len();
         shared.prepare_seams_later(&session);
         Ok(n_named)
@@ -434,12 +437,15 @@ impl Store {
         let keep = self.keep(account.clone(), "starting a simulation", move |store| {
             let session = store.session(id)?;
             let before = session.simulation().ok().map(|simulation| simulation.info().config);
-            if let Some(journal) = &session.journal {
-                journal.set_simulation(Some(&config))?;
-            }
+            let keep = |config: Option<&SimulationConfig>| {
+                let journal = session.journal.as_ref();
+                let kept = journal.map_or(Ok(()), |journal| journal.set_simulation(config));
+                store.shared.heed(&session, kept)
+            };
+            keep(Some(&config))?;
             let simulated = store.shared.simulate(&session, &config);
-            if let (Err(_), Some(journal)) = (&simulated, &session.journal) {
-                journal.set_simulation(before.as_ref())?;
+            if simulated.is_err() {
+                keep(before.as_ref())?;
             }
             simulated
         });
@@ -463,9 +469,9 @@ impl Store {
         self.keep(self.account(id)?, "ending a simulation", move |store| {
             let session = store.session(id)?;
             session.simulation()?;
-            if let Some(journal) = &session.journal {
-                journal.set_simulation(None)?;
-            }
+            let journal = session.journal.as_ref();
+            let kept = journal.map_or(Ok(()), |journal| journal.set_simulation(None));
+            store.shared.heed(&session, kept)?;
             session.stop_simulation()
         })
         .await
@@ -544,7 +550,7 @@ impl Store {
         &self.shared.builds
     }
 
-    fn sessions(&self) -> RwLockReadGuard<'_, BTreeMap<SessionId, Arc<LiveSession>>> {
+    pub(crate) fn sessions(&self) -> RwLockReadGuard<'_, BTreeMap<SessionId, Arc<LiveSession>>> {
         self.shared.sessions.read().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -557,7 +563,7 @@ impl Store {
     }
 
     /// Adds a session if there is room and `admit` lets it in.
-    fn insert(
+    pub(crate) fn insert(
         &self,
         session: Arc<LiveSession>,
         admit: impl FnOnce() -> Result<(), StoreError>,

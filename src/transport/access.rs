@@ -159,6 +159,15 @@ impl Caller {
         }
     }
 
+    /// Brings a session of theirs here if another daemon of the fleet had it last.
+    pub(crate) async fn find_session(
+        &self,
+        gateway: &Gateway,
+        id: SessionId,
+    ) -> Result<(), Problem> {
+        Ok(gateway.store().take_over(id, self.tenant().map(|tenant| &**tenant)).await?)
+    }
+
     /// Refuses sessions of others, in the words for sessions that do not exist.
     pub(crate) fn check_session(&self, gateway: &Gateway, id: SessionId) -> Result<(), Problem> {
         let Some(tenant) = self.tenant() else { return Ok(()) };

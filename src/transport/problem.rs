@@ -26,6 +26,7 @@ pub(crate) enum Kind {
     ReceiveTimeout,
     WrongGeneration,
     NotReady,
+    SessionTaken,
     Cancelled,
     TooLarge,
     UnsupportedMediaType,
@@ -47,7 +48,7 @@ pub(crate) enum Kind {
 
 impl Kind {
     #[cfg(test)]
-    pub(crate) const ALL: [Kind; 32] = [
+    pub(crate) const ALL: [Kind; 33] = [
         Kind::MalformedDocument,
         Kind::MalformedMesh,
         Kind::MalformedParameter,
@@ -63,6 +64,7 @@ impl Kind {
         Kind::ReceiveTimeout,
         Kind::WrongGeneration,
         Kind::NotReady,
+        Kind::SessionTaken,
         Kind::Cancelled,
         Kind::TooLarge,
         Kind::UnsupportedMediaType,
@@ -100,6 +102,7 @@ impl Kind {
             Kind::ReceiveTimeout => (408, "receive-timeout", "The request took too long to arrive"),
             Kind::WrongGeneration => (409, "wrong-generation", "Not the current generation"),
             Kind::NotReady => (409, "not-ready", "The session is not ready"),
+            Kind::SessionTaken => (409, "session-taken", "Another daemon serves the session"),
             Kind::Cancelled => (409, "cancelled", "The work was cancelled"),
             Kind::TooLarge => (413, "too-large", "Too large"),
             Kind::UnsupportedMediaType => (415, "unsupported-media-type", "Unsupported media type"),
@@ -117,7 +120,7 @@ impl Kind {
             Kind::Damaged => (410, "damaged-data", "Kept data is damaged"),
             Kind::Busy => (503, "busy", "Too busy"),
             Kind::ShuttingDown => (503, "shutting-down", "Shutting down"),
-            Kind::StorageFailed => (503, "storage-failed", "The data directory failed"),
+            Kind::StorageFailed => (503, "storage-failed", "The storage failed"),
             Kind::StorageFull => (507, "storage-full", "No room to keep it"),
         }
     }
@@ -137,6 +140,8 @@ impl Kind {
 const FULL_RETRY_AFTER_S: u64 = 30;
 /// Seconds after which a storage that failed is tried again.
 const STORAGE_RETRY_AFTER_S: u64 = 10;
+/// Seconds after which a daemon that lost a session to another one would take it back.
+const TAKEN_RETRY_AFTER_S: u64 = sutura_store::HAND_OVER.as_secs();
 /// Seconds a daemon that goes down is given to come back.
 const SHUTDOWN_RETRY_AFTER_S: u64 = 5;
 
@@ -220,6 +225,7 @@ impl From<&StoreError> for Problem {
     fn from(error: &StoreError) -> Problem {
         let kind = match error {
             StoreError::NoSession(_) => Kind::NoSession,
+            StoreError::Taken(_) => Kind::SessionTaken,
             StoreError::NoGeneration { .. } => Kind::NoGeneration,
             StoreError::NoSimulation => Kind::NoSimulation,
             StoreError::WrongGeneration { .. } => Kind::WrongGeneration,
@@ -252,6 +258,7 @@ impl From<&StoreError> for Problem {
             StoreError::Full { .. } => Some(FULL_RETRY_AFTER_S),
             StoreError::ShuttingDown => Some(SHUTDOWN_RETRY_AFTER_S),
             StoreError::Storage(_) => Some(STORAGE_RETRY_AFTER_S),
+            StoreError::Taken(_) => Some(TAKEN_RETRY_AFTER_S),
             _ => None,
         };
         Problem { kind, detail: error.to_string(), pointer, retry_after_s }

@@ -3,6 +3,7 @@
 use rustls::ServerConfig;
 use rustls::pki_types::pem::{self, PemObject};
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
@@ -44,6 +45,14 @@ pub enum TlsError {
         /// What is wrong with it.
         source: pem::Error,
     },
+    /// The certificate is written in no form that is known.
+    #[error("{}: {why}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        why: String,
+    },
     /// The two do not belong together, or are of a kind that is not spoken.
     #[error("{} with {}: {source}", files.certificate.display(), files.private_key.display())]
     Unusable {
@@ -73,6 +82,18 @@ impl Tls {
         let config = Arc::new(server_config(&self.files)?);
         *self.config.write().unwrap_or_else(PoisonError::into_inner) = config;
         Ok(())
+    }
+
+    /// From when until when the certificate in the files is good, in s since 1970.
+    pub fn validity_s(&self) -> Result<RangeInclusive<i64>, TlsError> {
+        let path = &self.files.certificate;
+        let certificate = CertificateDer::from_pem_file(path)
+            .map_err(|source| TlsError::File { path: path.clone(), source })?;
+        let unreadable = |why: String| TlsError::Unreadable { path: path.clone(), why };
+        let (_, parsed) = x509_parser::parse_x509_certificate(&certificate)
+            .map_err(|error| unreadable(error.to_string()))?;
+        let validity = parsed.validity();
+        Ok(validity.not_before.timestamp()..=validity.not_after.timestamp())
     }
 
     /// The files.

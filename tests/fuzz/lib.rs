@@ -13,6 +13,7 @@ mod config;
 mod key_file;
 
 use sutura_core::mesh::{MeshFile, MeshFormat, MeshLimits, NamedFile, read, read_files};
+use sutura_objects::testing::read_object;
 use sutura_proto::frame::Frame;
 use sutura_proto::state::StateFrame;
 use sutura_proto::{keys, npy};
@@ -23,7 +24,7 @@ use sutura_transport::testing as transport;
 pub type Target = (&'static str, fn(&[u8]));
 
 /// Every target.
-pub const TARGETS: [Target; 13] = [
+pub const TARGETS: [Target; 14] = [
     ("gmsh", gmsh),
     ("vega", vega),
     ("vtk_legacy", vtk_legacy),
@@ -37,6 +38,7 @@ pub const TARGETS: [Target; 13] = [
     ("records", records),
     ("mesh_blob", mesh_blob),
     ("settings", settings),
+    ("object", object),
 ];
 
 /// Those of a daemon.
@@ -184,5 +186,14 @@ pub fn settings(bytes: &[u8]) {
         if let Ok(entries) = key_file::parse(text) {
             assert!(entries.iter().all(|entry| entry.hash().is_some()));
         }
+    }
+}
+
+/// A journal's object in an object store, which says the same again when it is written.
+pub fn object(bytes: &[u8]) {
+    if let Some((header, records)) = read_object(bytes) {
+        assert!(bytes.ends_with(records));
+        let again = [&header[..], records].concat();
+        assert_eq!(read_object(&again), Some((header, records)));
     }
 }

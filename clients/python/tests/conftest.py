@@ -25,10 +25,11 @@ PROGRAM = os.environ.get("SUTURA_EXECUTABLE", str(ROOT / "target/debug/sutura"))
 class Daemon:
     """A process of its own on free ports."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, config: Path | None = None) -> None:
         addresses = ["--http", "127.0.0.1:0", "--zenoh", "tcp/127.0.0.1:0"]
+        configured = [] if config is None else ["--config", str(config)]
         self._process = subprocess.Popen(
-            [PROGRAM, "serve", *addresses, "--log", "warn"],
+            [PROGRAM, "serve", *addresses, "--log", "warn", *configured],
             cwd=folder,
             stdout=subprocess.PIPE,
             text=True,
@@ -47,6 +48,9 @@ class Daemon:
         # What it goes on to print must not fill the pipe.
         self._drain = threading.Thread(target=self._process.stdout.read, daemon=True)
         self._drain.start()
+
+    def signal(self, number: int) -> None:
+        self._process.send_signal(number)
 
     def stop(self) -> None:
         self._process.kill()

@@ -269,7 +269,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -384,7 +384,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -477,6 +477,15 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description Another daemon serves the session */
+                409: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description Too many requests */
                 429: {
                     headers: {
@@ -486,7 +495,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -545,6 +554,15 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description Another daemon serves the session */
+                409: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description Too many requests */
                 429: {
                     headers: {
@@ -554,7 +572,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -658,7 +676,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Not the current generation; The session is not ready; The work was cancelled */
+                /** @description Not the current generation; The session is not ready; The work was cancelled; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -703,7 +721,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -808,7 +826,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -853,7 +871,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -934,6 +952,15 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description Another daemon serves the session */
+                409: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description Too many requests */
                 429: {
                     headers: {
@@ -943,7 +970,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -1041,7 +1068,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -1086,7 +1113,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -1190,7 +1217,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -1226,7 +1253,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -1322,7 +1349,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -1358,7 +1385,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -1456,7 +1483,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -1492,7 +1519,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -1591,7 +1618,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -1627,7 +1654,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -1726,7 +1753,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -1771,7 +1798,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -1874,7 +1901,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -1910,7 +1937,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -2007,7 +2034,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -2043,7 +2070,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -2140,7 +2167,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -2176,7 +2203,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -2273,7 +2300,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -2309,7 +2336,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -2406,7 +2433,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -2442,7 +2469,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -2538,7 +2565,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -2574,7 +2601,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -2671,7 +2698,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -2707,7 +2734,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -2806,7 +2833,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -2842,7 +2869,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -2940,7 +2967,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -2985,7 +3012,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -3066,6 +3093,15 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description Another daemon serves the session */
+                409: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description Impossible simulation */
                 422: {
                     headers: {
@@ -3084,7 +3120,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -3165,7 +3201,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description The session is not ready */
+                /** @description The session is not ready; Another daemon serves the session */
                 409: {
                     headers: {
                         [name: string]: unknown;
@@ -3210,7 +3246,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -3277,6 +3313,15 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description Another daemon serves the session */
+                409: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description Too many requests */
                 429: {
                     headers: {
@@ -3286,7 +3331,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -3388,6 +3433,15 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description Another daemon serves the session */
+                409: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description Too large */
                 413: {
                     headers: {
@@ -3424,7 +3478,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -3527,6 +3581,15 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description Another daemon serves the session */
+                409: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description Too large */
                 413: {
                     headers: {
@@ -3563,7 +3626,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;
@@ -3644,6 +3707,15 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
+                /** @description Another daemon serves the session */
+                409: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
                 /** @description WebSocket upgrade required */
                 426: {
                     headers: {
@@ -3662,7 +3734,7 @@ export interface paths {
                         "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
-                /** @description Too busy; The data directory failed */
+                /** @description Too busy; The storage failed */
                 503: {
                     headers: {
                         [name: string]: unknown;

@@ -11,6 +11,7 @@ mod http;
 mod limits;
 mod log;
 mod memory;
+mod object_store;
 mod shutdown;
 mod tls;
 mod traffic;
@@ -22,6 +23,7 @@ pub(crate) use data::{DataConfig, DataPath};
 pub(crate) use http::HttpConfig;
 pub(crate) use log::{LogConfig, LogFormat};
 pub(crate) use memory::MemoryConfig;
+pub(crate) use object_store::{NoCredentials, ObjectStoreConfig};
 pub(crate) use shutdown::ShutdownConfig;
 pub(crate) use tls::{HalfTls, TlsConfig};
 pub(crate) use zenoh::{ZenohConfig, ZenohEndpoint};
@@ -35,6 +37,8 @@ use std::path::{Path, PathBuf};
 pub(crate) struct Config {
     /// Where sessions are kept.
     pub(crate) data: DataConfig,
+    /// Where a fleet keeps them.
+    pub(crate) object_store: ObjectStoreConfig,
     /// Who is let in.
     pub(crate) access: AccessConfig,
     /// The certificate that both doors show.

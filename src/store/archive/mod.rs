@@ -7,6 +7,10 @@
 //!
 //! A session exists while its journal does. Meshes are written before the journal that names them and
 //! deleted after it.
+//!
+//! Where the storage is shared, a journal has to be this process's before anything is made of it, and
+//! whether another daemon's session names a mesh cannot be known: there each session has meshes of its own,
+//! `meshes/<id>/<sha-256>`.
 
 pub(crate) mod frame;
 pub(crate) mod record;
@@ -15,7 +19,7 @@ use crate::error::StoreError;
 use crate::metrics;
 use crate::session::{Generation, MeshSize, SessionId};
 use crate::simulation::SimulationConfig;
-use crate::storage::{Storage, StorageError};
+use crate::storage::{Entry, Storage, StorageError};
 use frame::Digest;
 use record::{
     GenerationRecord, MeshRecord, ParamsRecord, Record, SessionRecord, SimulationRecord,
@@ -23,7 +27,7 @@ use record::{
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
-use std::time::{Instant, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 use sutura_core::build::BuildParams;
 use sutura_core::mesh::TetMesh;
 
@@ -32,6 +36,13 @@ const MESHES: &str = "meshes";
 
 /// Generations in a journal, as a multiple of those that are kept, beyond which the old ones are left out.
 const COMPACTION_FACTOR: usize = 4;
+
+/// Age at which a mesh of no session is cleared away from a shared storage: far longer than a session takes to
+/// begin ([`MAX_BEGINNING`]), so that none is that another daemon is about to name.
+const ORPHAN_AGE: Duration = Duration::from_secs(24 * 3600);
+
+/// Longest time from the first mesh of a session to its journal.
+const MAX_BEGINNING: Duration = Duration::from_secs(3600);
 
 /// Every session of a storage. Calls block: they belong on a pool.
 #[derive(Debug)]
@@ -106,8 +117,9 @@ fn journal_name(id: SessionId) -> String {
     format!("{SESSIONS}/{id}")
 }
 
-fn mesh_name(mesh: &Digest) -> String {
-    format!("{MESHES}/{}", frame::hex(mesh))
+/// The session that an entry's name ends with.
+fn session_of(name: &str, folder: &str) -> Option<SessionId> {
+    name.strip_prefix(folder)?.strip_prefix('/')?.parse().ok()
 }
 
 fn damaged(name: &str, why: impl std::fmt::Display) -> StoreError {
@@ -126,35 +138,89 @@ impl Archive {
     ) -> Result<(Arc<Archive>, Vec<Found>), StorageError> {
         let archive = Arc::new(Archive { storage, meshes: Mutex::default() });
         let mut found = Vec::new();
-        for entry in archive.storage.list(SESSIONS)? {
-            let id = entry.name.strip_prefix(SESSIONS).and_then(|name| name.strip_prefix('/'));
-            let Some(id) = id.and_then(|name| name.parse().ok()) else {
+        for entry in archive.storage.own(SESSIONS)? {
+            let Some(id) = session_of(&entry.name, SESSIONS) else {
                 tracing::warn!(name = entry.name, "no journal of a session; left alone");
                 continue;
             };
-            let bytes = archive.storage.get(&entry.name)?.unwrap_or_default();
-            let read = frame::frames(&bytes);
-            if read.end < bytes.len() {
-                let n_bytes = bytes.len() - read.end;
-                tracing::warn!(session = %id, n_bytes, "the journal ends in a damaged part, which is cut off");
+            // `None`: gone meanwhile, by another daemon.
+            if let Some(session) = archive.claim(id)? {
+                found.push(Found { modified: entry.modified, ..session });
             }
-            if read.n_damaged > 0 {
-                let n_places = read.n_damaged;
-                tracing::error!(session = %id, n_places, "the journal is damaged in its midst: generations are missing");
-            }
-            let contents = self::read(&entry.name, &read);
-            if let Ok(contents) = &contents {
-                archive.lock().use_meshes(id, contents.meshes());
-            }
-            let n_generations = contents.as_ref().map_or(0, |c| c.generations.len());
-            let tail = Tail { end: read.end as u64, n_generations, is_deleted: false };
-            let journal = Journal { archive: archive.clone(), id, tail: Mutex::new(tail) };
-            found.push(Found { journal, modified: entry.modified, contents });
         }
-        if found.iter().all(|found| found.contents.is_ok()) {
+        if archive.storage.is_shared() {
+            archive.sweep_orphans()?;
+        } else if found.iter().all(|found| found.contents.is_ok()) {
             archive.sweep()?;
         }
         Ok((archive, found))
+    }
+
+    /// Whether other daemons use the storage, too.
+    pub(crate) fn is_shared(&self) -> bool {
+        self.storage.is_shared()
+    }
+
+    /// Whose a session of the storage is, wherever it is served; `None` if there is none.
+    pub(crate) fn tenant(&self, id: SessionId) -> Result<Option<Option<String>>, StoreError> {
+        let name = journal_name(id);
+        let peeked = self.storage.peek(&name).map_err(|error| match error.is_damaged() {
+            true => damaged(&name, error),
+            false => error.into(),
+        });
+        let Some(bytes) = peeked? else { return Ok(None) };
+        read(&name, &frame::frames(&bytes)).map(|contents| Some(contents.session.tenant))
+    }
+
+    /// Makes a session this process's; `None` if there is none.
+    pub(crate) fn claim(self: &Arc<Self>, id: SessionId) -> Result<Option<Found>, StorageError> {
+        let name = journal_name(id);
+        let Some(bytes) = self.storage.claim(&name)? else { return Ok(None) };
+        let read = frame::frames(&bytes);
+        if read.end < bytes.len() {
+            let n_bytes = bytes.len() - read.end;
+            tracing::warn!(session = %id, n_bytes, "the journal ends in a damaged part, which is cut off");
+        }
+        if read.n_damaged > 0 {
+            let n_places = read.n_damaged;
+            tracing::error!(session = %id, n_places, "the journal is damaged in its midst: generations are missing");
+        }
+        let contents = self::read(&name, &read);
+        if let Ok(contents) = &contents {
+            self.lock().use_meshes(id, contents.meshes());
+        }
+        let n_generations = contents.as_ref().map_or(0, |c| c.generations.len());
+        let journal = Journal::new(self, id, read.end as u64, n_generations);
+        Ok(Some(Found { journal, modified: None, contents }))
+    }
+
+    /// Where a session's mesh is kept.
+    fn mesh_name(&self, id: SessionId, mesh: &Digest) -> String {
+        match self.is_shared() {
+            true => format!("{MESHES}/{id}/{}", frame::hex(mesh)),
+            false => format!("{MESHES}/{}", frame::hex(mesh)),
+        }
+    }
+
+    /// Clears away from a shared storage what crashes left behind: old meshes of sessions without a journal.
+    fn sweep_orphans(&self) -> Result<(), StorageError> {
+        let is_old = |entry: &Entry| {
+            let age = entry.modified.and_then(|modified| modified.elapsed().ok());
+            age.is_some_and(|age| age > ORPHAN_AGE)
+        };
+        let old: Vec<Entry> = self.storage.list(MESHES)?.into_iter().filter(is_old).collect();
+        // Behind the meshes: a session that is not there now never will be.
+        let journals = self.storage.list(SESSIONS)?;
+        let sessions: BTreeSet<SessionId> =
+            journals.iter().filter_map(|entry| session_of(&entry.name, SESSIONS)).collect();
+        for Entry { name, .. } in old {
+            let folder = name.rsplit_once('/').map_or("", |(folder, _)| folder);
+            if session_of(folder, MESHES).is_some_and(|id| !sessions.contains(&id)) {
+                tracing::info!(name, "a mesh of no session is cleared away");
+                self.storage.delete(&name)?;
+            }
+        }
+        Ok(())
     }
 
     fn lock(&self) -> MutexGuard<'_, Meshes> {
@@ -163,7 +229,8 @@ impl Archive {
 
     fn sweep(&self) -> Result<(), StorageError> {
         let meshes = self.lock();
-        let names: BTreeSet<String> = meshes.users.keys().map(mesh_name).collect();
+        let name = |mesh: &Digest| format!("{MESHES}/{}", frame::hex(mesh));
+        let names: BTreeSet<String> = meshes.users.keys().map(name).collect();
         for entry in self.storage.list(MESHES)? {
             if !names.contains(&entry.name) {
                 tracing::info!(name = entry.name, "a mesh of no session is cleared away");
@@ -180,6 +247,7 @@ impl Archive {
         beginning: &Beginning<'_>,
     ) -> Result<Journal, StoreError> {
         let Beginning { name, tenant, mesh, params, generations, seams } = beginning;
+        let begun = Instant::now();
         let MeshSize { n_vertices, n_tets, n_domains, n_components } = MeshSize::of(mesh);
         let session = Record::Session(Box::new(SessionRecord {
             name: (*name).to_owned(),
@@ -200,13 +268,19 @@ impl Archive {
         if !seams.is_empty() {
             bytes.extend(framed(&Record::Seams(seams.clone()))?);
         }
-        if let Err(error) = self.storage.put(&journal_name(id), &bytes) {
-            self.forget(id);
+        if let Err(error) = self.storage.begin(&journal_name(id), &bytes) {
+            // A shared one may have heard all the same: its journal, if it comes to be, finds its mesh.
+            if !self.is_shared() {
+                self.forget(id);
+            }
             return Err(error.into());
         }
-        let tail =
-            Tail { end: bytes.len() as u64, n_generations: generations.len(), is_deleted: false };
-        Ok(Journal { archive: self.clone(), id, tail: Mutex::new(tail) })
+        let journal = Journal::new(self, id, bytes.len() as u64, generations.len());
+        if begun.elapsed() > MAX_BEGINNING {
+            journal.delete()?;
+            return Err(StoreError::Cancelled);
+        }
+        Ok(journal)
     }
 
     fn generation_record(
@@ -225,13 +299,14 @@ impl Archive {
         let known = meshes.known.iter().find(|(known, _)| known.as_ptr() == Arc::as_ptr(mesh));
         // A pointer is not given to another mesh while somebody holds a weak one.
         let known = known.map(|(_, name)| *name);
-        let name = match known.filter(|name| meshes.has(name)) {
+        let user = self.is_shared().then_some(id);
+        let name = match known.filter(|name| meshes.has(name, user)) {
             Some(name) => name,
             None => {
                 let contents = record::encode(&MeshRecord::new(mesh)).map_err(unwritable)?;
                 let name = frame::digest(&contents);
-                if !meshes.has(&name) {
-                    self.storage.put(&mesh_name(&name), &frame::frame(&contents))?;
+                if !meshes.has(&name, user) {
+                    self.storage.put(&self.mesh_name(id, &name), &frame::frame(&contents))?;
                     meshes.damaged.remove(&name);
                 }
                 meshes.known.retain(|(known, _)| known.strong_count() > 0);
@@ -243,8 +318,8 @@ impl Archive {
         Ok(name)
     }
 
-    /// A mesh by its name.
-    pub(crate) fn mesh(&self, name: &Digest) -> Result<Arc<TetMesh>, StoreError> {
+    /// A session's mesh by its name.
+    fn mesh(&self, id: SessionId, name: &Digest) -> Result<Arc<TetMesh>, StoreError> {
         let in_memory = |meshes: &Meshes| {
             let known = meshes.known.iter().filter(|(_, known)| known == name);
             known.filter_map(|(mesh, _)| mesh.upgrade()).next()
@@ -252,7 +327,7 @@ impl Archive {
         if let Some(mesh) = in_memory(&self.lock()) {
             return Ok(mesh);
         }
-        let blob = mesh_name(name);
+        let blob = self.mesh_name(id, name);
         let read = || {
             let bytes = self.storage.get(&blob)?.ok_or_else(|| damaged(&blob, "it is missing"))?;
             let read = frame::frames(&bytes);
@@ -281,16 +356,9 @@ impl Archive {
     /// Clears away the meshes that only this session named.
     fn forget(&self, id: SessionId) {
         let mut meshes = self.lock();
-        let mut unused = Vec::new();
-        for (name, users) in &mut meshes.users {
-            if users.remove(&id) && users.is_empty() {
-                unused.push(*name);
-            }
-        }
-        for name in unused {
-            meshes.users.remove(&name);
-            if let Err(error) = self.storage.delete(&mesh_name(&name)) {
-                // The next start tries again.
+        for name in meshes.stop_using(id, self.is_shared()) {
+            if let Err(error) = self.storage.delete(&self.mesh_name(id, &name)) {
+                // A later start tries again.
                 tracing::warn!(%error, "a mesh of no session is left behind");
             }
         }
@@ -298,8 +366,23 @@ impl Archive {
 }
 
 impl Meshes {
-    fn has(&self, name: &Digest) -> bool {
-        self.users.contains_key(name) && !self.damaged.contains(name)
+    /// Whether the mesh is there for any session, or for this `user`.
+    fn has(&self, name: &Digest, user: Option<SessionId>) -> bool {
+        let users = self.users.get(name);
+        users.is_some_and(|users| user.is_none_or(|user| users.contains(&user)))
+            && !self.damaged.contains(name)
+    }
+
+    /// The meshes that the session named, those of others left out unless `all`.
+    fn stop_using(&mut self, id: SessionId, all: bool) -> Vec<Digest> {
+        let mut left = Vec::new();
+        self.users.retain(|name, users| {
+            if users.remove(&id) && (all || users.is_empty()) {
+                left.push(*name);
+            }
+            !users.is_empty()
+        });
+        left
     }
 
     fn use_meshes(&mut self, id: SessionId, names: impl IntoIterator<Item = Digest>) {
@@ -360,11 +443,19 @@ struct Tail {
     end: u64,
     n_generations: usize,
     is_deleted: bool,
+    /// Another daemon serves the session now.
+    is_taken: bool,
 }
 
 impl Journal {
-    pub(crate) fn archive(&self) -> &Arc<Archive> {
-        &self.archive
+    fn new(archive: &Arc<Archive>, id: SessionId, end: u64, n_generations: usize) -> Journal {
+        let tail = Tail { end, n_generations, is_deleted: false, is_taken: false };
+        Journal { archive: archive.clone(), id, tail: Mutex::new(tail) }
+    }
+
+    /// A mesh that the session names.
+    pub(crate) fn mesh(&self, name: &Digest) -> Result<Arc<TetMesh>, StoreError> {
+        self.archive.mesh(self.id, name)
     }
 
     pub(crate) fn id(&self) -> SessionId {
@@ -397,25 +488,67 @@ impl Journal {
     fn append(&self, record: &Record) -> Result<(), StoreError> {
         let bytes = framed(record)?;
         let mut tail = self.lock();
-        if tail.is_deleted {
-            return Err(StoreError::NoSession(self.id));
-        }
+        self.check(&tail)?;
         let begun = Instant::now();
-        self.archive.storage.append(&journal_name(self.id), tail.end, &bytes)?;
+        let appended = self.archive.storage.append(&journal_name(self.id), tail.end, &bytes);
+        self.heed(&mut tail, appended)?;
         metrics::journal_written(begun.elapsed());
         tail.end += bytes.len() as u64;
         tail.n_generations += usize::from(matches!(record, Record::Generation(_)));
         Ok(())
     }
 
+    fn check(&self, tail: &Tail) -> Result<(), StoreError> {
+        match tail {
+            Tail { is_deleted: true, .. } => Err(StoreError::NoSession(self.id)),
+            Tail { is_taken: true, .. } => Err(StoreError::Taken(self.id)),
+            _ => Ok(()),
+        }
+    }
+
+    /// Remembers that another daemon has the session now, if that is why nothing was written.
+    fn heed(&self, tail: &mut Tail, written: Result<(), StorageError>) -> Result<(), StoreError> {
+        match written {
+            Err(error) if error.is_taken() => {
+                tail.is_taken = true;
+                Err(StoreError::Taken(self.id))
+            }
+            written => Ok(written?),
+        }
+    }
+
+    /// Whether another daemon has the session now, as far as is known here.
+    pub(crate) fn is_taken(&self) -> bool {
+        self.lock().is_taken
+    }
+
+    /// Looks whether another daemon has the session now.
+    pub(crate) fn look(&self) -> Result<bool, StorageError> {
+        if !self.archive.storage.is_held(&journal_name(self.id))? {
+            let mut tail = self.lock();
+            tail.is_taken = !tail.is_deleted;
+        }
+        Ok(self.is_taken())
+    }
+
+    /// Whatever is known of the session's meshes here is no longer.
+    pub(crate) fn let_go(&self) {
+        self.archive.lock().stop_using(self.id, true);
+    }
+
     /// What the journal says now.
     pub(crate) fn read(&self) -> Result<Contents, StoreError> {
-        self.read_until(self.lock().end)
+        let end = {
+            let tail = self.lock();
+            self.check(&tail)?;
+            tail.end
+        };
+        self.read_until(end)
     }
 
     fn read_until(&self, end: u64) -> Result<Contents, StoreError> {
         let name = journal_name(self.id);
-        let bytes = self.archive.storage.get(&name)?;
+        let bytes = self.archive.storage.peek(&name)?;
         let bytes = bytes.ok_or_else(|| damaged(&name, "it is missing"))?;
         let end = usize::try_from(end).unwrap_or(usize::MAX).min(bytes.len());
         read(&name, &frame::frames(&bytes[..end]))
@@ -429,9 +562,7 @@ impl Journal {
     /// Leaves out the generations that the session keeps no longer.
     pub(crate) fn compact(&self, n_kept: usize) -> Result<(), StoreError> {
         let mut tail = self.lock();
-        if tail.is_deleted {
-            return Err(StoreError::NoSession(self.id));
-        }
+        self.check(&tail)?;
         let mut contents = self.read_until(tail.end)?;
         let n_dropped = contents.generations.len().saturating_sub(n_kept);
         contents.generations.drain(..n_dropped);
@@ -448,8 +579,9 @@ impl Journal {
         for record in &records {
             bytes.extend(framed(record)?);
         }
-        self.archive.storage.put(&journal_name(self.id), &bytes)?;
-        *tail = Tail { end: bytes.len() as u64, n_generations, is_deleted: false };
+        let written = self.archive.storage.rewrite(&journal_name(self.id), &bytes);
+        self.heed(&mut tail, written)?;
+        *tail = Tail { end: bytes.len() as u64, n_generations, ..*tail };
         Ok(())
     }
 
@@ -457,7 +589,8 @@ impl Journal {
     pub(crate) fn delete(&self) -> Result<(), StoreError> {
         let mut tail = self.lock();
         if !tail.is_deleted {
-            self.archive.storage.delete(&journal_name(self.id))?;
+            let removed = self.archive.storage.remove(&journal_name(self.id));
+            self.heed(&mut tail, removed)?;
             tail.is_deleted = true;
             self.archive.forget(self.id);
         }

@@ -27,7 +27,9 @@ impl FromRequestParts<Gateway> for InSession {
     type Rejection = Problem;
     async fn from_request_parts(parts: &mut Parts, gateway: &Gateway) -> Result<Self, Problem> {
         let id = command::session_id(&path_param(parts, gateway, "id").await?)?;
-        caller(parts)?.check_session(gateway, id)?;
+        let caller = caller(parts)?;
+        caller.find_session(gateway, id).await?;
+        caller.check_session(gateway, id)?;
         Ok(InSession(id))
     }
 }

@@ -387,7 +387,7 @@ impl Route {
             ]);
         }
         if self.path.contains("{id}") {
-            kinds.push(Kind::NoSession);
+            kinds.extend([Kind::NoSession, Kind::SessionTaken]);
         }
         if self.path.contains("{generation}") {
             kinds.extend([Kind::NoGeneration, Kind::MalformedParameter]);
