@@ -10,7 +10,7 @@ pub(crate) type Digest = [u8; 32];
 
 const MAGIC: [u8; 4] = *b"SUTR";
 
-/// Of the contents' form; what a later version writes is not read.
+/// Of the contents' form; what another version writes is not read.
 const VERSION: u32 = 2;
 
 const PREFIX_BYTES: usize = 16;
@@ -46,13 +46,13 @@ pub(crate) struct Frames<'a> {
     pub(crate) end: usize,
     /// Stretches of damaged bytes that whole records follow.
     pub(crate) n_damaged: usize,
-    /// Whether a record is whole but written by a later version.
-    pub(crate) has_later_version: bool,
+    /// Whether a record is whole but written by another version.
+    pub(crate) has_other_version: bool,
 }
 
 /// Reads every whole record, damaged ones left out.
 pub(crate) fn frames(bytes: &[u8]) -> Frames<'_> {
-    let mut found = Frames { whole: Vec::new(), end: 0, n_damaged: 0, has_later_version: false };
+    let mut found = Frames { whole: Vec::new(), end: 0, n_damaged: 0, has_other_version: false };
     let mut at = 0;
     let mut in_order = true;
     while at < bytes.len() {
@@ -62,7 +62,7 @@ pub(crate) fn frames(bytes: &[u8]) -> Frames<'_> {
                 in_order = true;
                 match version {
                     VERSION => found.whole.push(contents),
-                    _ => found.has_later_version = true,
+                    _ => found.has_other_version = true,
                 }
                 at += HEADER_BYTES + contents.len();
                 found.end = at;

@@ -333,8 +333,8 @@ impl Archive {
             let read = frame::frames(&bytes);
             let contents = match read.whole[..] {
                 [contents] if frame::digest(contents) == *name => contents,
-                _ if read.has_later_version => {
-                    return Err(damaged(&blob, "it was written by a later version"));
+                _ if read.has_other_version => {
+                    return Err(damaged(&blob, "it was written by another version"));
                 }
                 _ => return Err(damaged(&blob, "its checksum is wrong")),
             };
@@ -398,8 +398,8 @@ fn framed(record: &Record) -> Result<Vec<u8>, StoreError> {
 
 /// What a journal's records say.
 pub(crate) fn read(name: &str, read: &frame::Frames<'_>) -> Result<Contents, StoreError> {
-    if read.has_later_version {
-        return Err(damaged(name, "it was written by a later version"));
+    if read.has_other_version {
+        return Err(damaged(name, "it was written by another version"));
     }
     let mut records = read.whole.iter().map(|contents| record::decode::<Record>(contents));
     let first = records.next().transpose().map_err(|error| damaged(name, error))?;
