@@ -7,7 +7,7 @@ use sutura_core::build::{self, CubatureParams, Selection};
 use sutura_core::control::Stage;
 
 /// The methods, by name.
-const METHODS: [(&str, Selection); 4] = [
+pub(crate) const METHODS: [(&str, Selection); 4] = [
     ("greedy NNLS", Selection::GreedyNnls),
     ("sparse NNLS", Selection::SparseNnls),
     ("NN-HTP", Selection::NnHtp),
@@ -21,7 +21,7 @@ pub(crate) const POINTS: [usize; 4] = [60, 120, 240, 480];
 pub(crate) const ERRORS: [f64; 2] = [0.05, 0.01];
 
 /// A tolerance that no rule reaches: every point allowed is used.
-const NEVER: f64 = 1e-9;
+pub(crate) const NEVER: f64 = 1e-9;
 
 /// One method on one body.
 #[derive(Serialize, Deserialize)]

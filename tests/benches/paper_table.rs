@@ -20,6 +20,7 @@ mod report;
 mod results;
 mod scaling;
 mod session;
+mod training;
 
 use bodies::Failure;
 use clap::Parser;
@@ -58,6 +59,9 @@ struct Arguments {
     /// Compare the methods that select cubature points as well: 16 builds a body.
     #[arg(long)]
     cubature: bool,
+    /// Write the equations that each body's cubature points are selected from to this folder, instead.
+    #[arg(long, value_name = "FOLDER")]
+    training: Option<PathBuf>,
     /// How good rebuilt bases are, instead of what they take: accuracy.json, accuracy.md and a picture.
     #[arg(long)]
     accuracy: bool,
@@ -123,6 +127,12 @@ fn run(arguments: &Arguments) -> Result<ExitCode, Failure> {
         let name = plan.bodies.first().ok_or("which body?")?;
         let answer = plan.part(part, name)?;
         serde_json::to_writer(std::io::stdout().lock(), &answer)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    if let Some(folder) = &arguments.training {
+        for name in &plan.bodies {
+            training::export(&bodies::Body::load(&plan.meshes, name)?, folder)?;
+        }
         return Ok(ExitCode::SUCCESS);
     }
     if let Some(n_steps) = arguments.reduced {

@@ -5,7 +5,7 @@ use super::artifacts::{Artifacts, CubatureReport, CubatureSource, Origin, Prepar
 use super::certificate::Verdict;
 use super::params::{BuildError, CubatureParams};
 use super::span::{Span, Subspace};
-use crate::control::{self, Stage};
+use crate::control::{self, Cancelled, Control, Stage};
 use crate::cubature::poses::{PoseSource, Shapes};
 use crate::cubature::{self, EnergyNorm, Rule, Samples, Training};
 use crate::dictionary::Combination;
@@ -141,6 +141,27 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
     })
 }
 
+/// What the cubature rule of a draft would be fitted to, and what it would be judged by, for `examine`.
+pub(super) fn examined<T>(
+    draft: Draft,
+    cubature: &CubatureParams,
+    control: &dyn Control,
+    examine: impl FnOnce(&Samples<'_>, &Samples<'_>) -> T,
+) -> Result<T, BuildError> {
+    let Draft { prepared, state, weighing, span, .. } = draft;
+    let subspace = span.reduce(&prepared, state.stitches(), &weighing)?;
+    let fit = Fit::new(&prepared, &subspace, &weighing, cubature)?;
+    let CubatureParams { n_training_poses, seed, .. } = *cubature;
+    let training = fit.samples(n_training_poses, seed, control)?;
+    let held_out = n_validation(n_training_poses);
+    let held_out = fit.samples(held_out, seed ^ VALIDATION_SEED, control)?;
+    Ok(examine(&training, &held_out))
+}
+
+fn n_validation(n_training_poses: usize) -> usize {
+    ((VALIDATION_SHARE * n_training_poses as f64) as usize).max(LEAST_VALIDATION_POSES)
+}
+
 /// Everything a cubature rule is fitted to.
 struct Fit<'a> {
     prepared: &'a Prepared,
@@ -185,6 +206,16 @@ impl<'a> Fit<'a> {
         Ok(Fit { prepared, basis, norm, poses: PoseSource::new(shapes, basis), params })
     }
 
+    fn samples(
+        &self,
+        count: usize,
+        seed: u64,
+        control: &dyn Control,
+    ) -> Result<Samples<'_>, Cancelled> {
+        let poses = self.poses.random_poses(count, seed);
+        Samples::new(&self.prepared.model, self.basis, &self.norm, poses, control)
+    }
+
     /// The rule in use from now on, with its validation error when it was trained. `reuse` is kept
     /// while its error on held-out poses is acceptable, else refitted, else replaced.
     fn rule(
@@ -196,12 +227,8 @@ impl<'a> Fit<'a> {
         let CubatureParams { n_points, n_training_poses, tolerance, seed, selection } =
             *self.params;
         control::check(control)?;
-        let samples = |count: usize, seed: u64| {
-            let poses = self.poses.random_poses(count, seed);
-            Samples::new(&self.prepared.model, self.basis, &self.norm, poses, control)
-        };
-        let n_validation =
-            ((VALIDATION_SHARE * n_training_poses as f64) as usize).max(LEAST_VALIDATION_POSES);
+        let samples = |count: usize, seed: u64| self.samples(count, seed, control);
+        let n_validation = n_validation(n_training_poses);
         let begin = control.now();
         let validation = samples(n_validation, seed ^ VALIDATION_SEED)?;
         let report = |rule: &Rule, source| CubatureReport {

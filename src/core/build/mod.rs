@@ -33,7 +33,7 @@ pub use transfer::BasisDelta;
 use crate::assembly::FullModel;
 use crate::assembly::sparse::Pattern;
 use crate::control::{self, Cancelled, Control, Stage};
-use crate::cubature::Rule;
+use crate::cubature::{Rule, Samples};
 use crate::derivatives::{LOAD_CASE_TOLERANCE, SOLVE_TOLERANCE};
 use crate::dictionary::Block;
 use crate::edit::{BaseState, Edit, EditState, StitchId};
@@ -115,8 +115,31 @@ pub fn build(
     params: &BuildParams,
     control: &dyn Control,
 ) -> Result<Artifacts, BuildError> {
-    params::check(&mesh, params)?;
     let mut clock = StageClock::start(control);
+    let draft = first_draft(mesh, params, &mut clock)?;
+    finish(draft, clock)
+}
+
+/// Prepares `mesh` as [`build`] does, but instead of training the cubature rule of `params` lets `examine` see
+/// the poses that it would be fitted to and the held-out ones that it would be judged by.
+pub fn examine_training<T>(
+    mesh: Arc<TetMesh>,
+    params: &BuildParams,
+    cubature: &CubatureParams,
+    control: &dyn Control,
+    examine: impl FnOnce(&Samples<'_>, &Samples<'_>) -> T,
+) -> Result<T, BuildError> {
+    let draft = first_draft(mesh, params, &mut StageClock::start(control))?;
+    finish::examined(draft, cubature, control, examine)
+}
+
+/// A body before its first edit, up to its derivatives.
+fn first_draft(
+    mesh: Arc<TetMesh>,
+    params: &BuildParams,
+    clock: &mut StageClock<'_>,
+) -> Result<Draft, BuildError> {
+    params::check(&mesh, params)?;
     let mut warnings = Vec::new();
     if let Some(first) = mesh.unused_vertices().first() {
         let count = mesh.unused_vertices().len();
@@ -126,7 +149,7 @@ pub fn build(
     }
     let state = EditState::new(mesh, &params.fixed_vertices);
     params::check_seams(state.base(), &params.seams)?;
-    let (prepared, derivatives) = prepare(state.base(), params, &mut clock)?;
+    let (prepared, derivatives) = prepare(state.base(), params, clock)?;
     let spectrum = prepared.spectrum.lowest(params.n_modes);
     let found = spectrum.eigenvalues.len();
     if found < params.n_modes {
@@ -135,7 +158,7 @@ pub fn build(
             params.n_modes
         ));
     }
-    let draft = Draft {
+    Ok(Draft {
         state,
         n_rigid_modes: prepared.rigid().ncols(),
         weighing: spectrum.eigenvalues.clone(),
@@ -147,8 +170,7 @@ pub fn build(
         reuse: None,
         warnings,
         prepared,
-    };
-    finish(draft, clock)
+    })
 }
 
 /// The base body of `state`, and its derivatives.

@@ -5,6 +5,11 @@
 //! scaled by its force so that every pose counts alike, forces measured in the energy norm
 //! ([`EnergyNorm`]). After an edit the points and weights are reused, and their error is measured on
 //! poses of the new basis.
+//!
+//! Cubature of only what is beyond the force's linear part, UᵀKUq being known, was tried: held-out errors of 120 points
+//! fall from 8.2 to 6.7 % on the small stomach and from 2.1 to 1.3 % on the small plant. But what the points lack of
+//! UᵀKU is then an indefinite matrix beside them, and static solutions on the small stomach under loads that bend
+//! it find no equilibrium. A sum with weights that are not negative has the energy of a material.
 
 mod nnls;
 mod pose_block;

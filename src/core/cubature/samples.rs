@@ -119,6 +119,18 @@ impl<'a> Samples<'a> {
         linalg::small_product(gradient.transpose(), p.as_ref())
     }
 
+    /// Number of poses.
+    pub fn n_poses(&self) -> usize {
+        self.target.ncols()
+    }
+
+    /// The equations of the fit: what each of `tets` adds at weight one (a column of r·t numbers each), and the sum
+    /// that they are to make.
+    pub fn equations(&self, tets: &[u32]) -> (Mat<f64>, Vec<f64>) {
+        let every = Sketch::new(self.n_equations(), usize::MAX, 0);
+        (self.columns(tets, &every), self.target(&every))
+    }
+
     /// One sketched column for each of `tets` (rows of the sketch × tets).
     pub(super) fn columns(&self, tets: &[u32], sketch: &Sketch) -> Mat<f64> {
         let mut columns = Mat::<f64>::zeros(sketch.n_rows, tets.len());

@@ -242,10 +242,9 @@ pub(super) fn fit_weights(
     start: &Rule,
     control: &dyn Control,
 ) -> Result<Rule, Cancelled> {
-    let every = Sketch::new(samples.n_equations(), usize::MAX, 0);
-    let columns = samples.columns(&start.tets, &every);
+    let (columns, target) = samples.equations(&start.tets);
     let guess: Vec<(usize, f64)> = start.weights.iter().copied().enumerate().collect();
-    let mut problem = LeastSquares::new(columns, &samples.target(&every));
+    let mut problem = LeastSquares::new(columns, &target);
     let entries = nnls::solve(&mut problem, &guess, control)?;
     Ok(rule(&start.tets, &entries))
 }
