@@ -2,7 +2,7 @@
 //!
 //! A journal is one object, which is replaced whole on the condition that it is still the one that this
 //! process wrote or read last (`If-Match`). That one condition is all there is to agree upon: whoever
-//! takes a session over replaces its journal by an equal one under its own name ([`header`]), and from then
+//! takes a session over replaces its journal by an equal one under its own name (`header`), and from then
 //! on every write of the earlier owner fails, whenever it arrives. There is no clock in it, no lease and no
 //! list of members.
 //!
