@@ -334,6 +334,15 @@ impl EditState {
         state
     }
 
+    /// This state as an update of a base body that holds stitches; `None` if those are not all among these, or
+    /// the base bodies differ in more.
+    pub fn on_base(&self, base: &BaseState) -> Option<EditState> {
+        let mut state = self.clone();
+        state.base.folded = base.folded.clone();
+        state.unfold();
+        (state.base == *base).then_some(state)
+    }
+
     /// Whether there are stitches and the base body's stiffness holds all of them.
     pub fn is_folded_whole(&self) -> bool {
         !self.stitches.is_empty() && self.stitches.iter().all(|stitch| self.is_folded(stitch))

@@ -4,14 +4,17 @@
 
 use crate::control::TaskControl;
 use crate::error::StoreError;
-use crate::live::LiveSession;
+use crate::live::{LiveSession, Rebasing};
 use crate::pool::{CancelFlag, Place, catching};
 use crate::session::{Generation, GenerationRef};
 use crate::store::Shared;
 use crate::tasks::keep;
 use crate::work::PREPARATION;
 use std::sync::Arc;
-use sutura_core::build::{Artifacts, Method, RebuildParams, prepare_seams, rebase, rebuild};
+use std::time::Duration;
+use sutura_core::build::{
+    Artifacts, Method, RebuildParams, StitchedBase, prepare_base, prepare_seams, rebase, rebuild,
+};
 use sutura_core::control::Control;
 
 /// Behind everything that somebody waits for.
@@ -28,6 +31,7 @@ impl Shared {
         self.make_room(0, session.id);
         self.prepare_seams_later(session);
         self.improve_later(session);
+        self.rebase_later(session);
         self.compact_later(session);
     }
 
@@ -88,6 +92,36 @@ impl Shared {
         }
     }
 
+    /// Finishes the current generation of `session` if a deadline left it unfinished.
+    fn improve_later(self: &Arc<Self>, session: &Arc<LiveSession>) {
+        let Ok(generation) = session.generation(GenerationRef::Current) else { return };
+        if !generation.artifacts.certificate().is_unfinished {
+            return;
+        }
+        let (store, live) = (self.clone(), session.clone());
+        let run = move |cancel: &CancelFlag| {
+            let _span = tracing::info_span!("improvement", session = %live.id).entered();
+            // An edit has come in between: it starts from what there was.
+            if !live.is_current(generation.number) {
+                return;
+            }
+            let control = TaskControl::silent(cancel);
+            let params = RebuildParams::new(Method::Flexibility, generation.tolerance);
+            let improved = catching("an improvement", || {
+                let made = rebuild(&generation.artifacts, &[], &params, &control);
+                Ok(made.map_err(StoreError::from)?.0)
+            });
+            match improved {
+                Ok(artifacts) => store.publish(&live, &generation, artifacts, control.now()),
+                Err(error) => tracing::info!(%error, "generation not improved"),
+            }
+        };
+        match self.builds.submit(behind(session).in_lane(session.id), run) {
+            Ok(ticket) => session.set_improvement(ticket.cancel_on_drop()),
+            Err(error) => tracing::debug!(%error, "generation not improved"),
+        }
+    }
+
     /// Whether a base body that holds the stitches of `body` would serve further edits better than the one
     /// that it is an update of.
     fn is_far_from_base(&self, body: &Artifacts) -> bool {
@@ -98,59 +132,90 @@ impl Shared {
         n_open > most || (n_open > 0 && !body.modes_are_met())
     }
 
-    /// Finishes the current generation of `session` if a deadline left it unfinished, and makes it anew where
-    /// its base body serves no longer.
-    fn improve_later(self: &Arc<Self>, session: &Arc<LiveSession>) {
+    /// Prepares a base body that holds the stitches of `session` where the present one serves no longer.
+    fn rebase_later(self: &Arc<Self>, session: &Arc<LiveSession>) {
         let Ok(generation) = session.generation(GenerationRef::Current) else { return };
-        let is_unfinished = generation.artifacts.certificate().is_unfinished;
+        let body = &generation.artifacts;
         // Who asked for another method has it.
         let is_update = generation.made_by == Some(Method::Flexibility);
-        let serves = !is_update || !self.is_far_from_base(&generation.artifacts);
-        if !is_unfinished && serves {
+        if !is_update || body.certificate().is_unfinished || !self.is_far_from_base(body) {
             return;
         }
-        let live = session.clone();
-        let store = self.clone();
+        let Some(rebasing) = session.begin_rebasing() else { return };
+        let (store, live) = (self.clone(), session.clone());
         let run = move |cancel: &CancelFlag| {
-            let _span = tracing::info_span!("improvement", session = %live.id).entered();
-            // An edit has come in between: it starts from what there was.
-            if !live.is_current(generation.number) {
+            let _span = tracing::info_span!("rebasing", session = %live.id).entered();
+            // A session that has gone needs none.
+            if live.is_closed() {
                 return;
             }
             let admits = |n_bytes: usize| store.make_room(n_bytes, live.id);
             let control = TaskControl::silent(cancel).within(&admits);
-            let params = RebuildParams::new(Method::Flexibility, generation.tolerance);
-            let improved = catching("an improvement", || {
-                let made = match is_unfinished {
-                    true => rebuild(&generation.artifacts, &[], &params, &control).map(|(a, _)| a),
-                    false => rebase(&generation.artifacts, &control),
-                };
-                made.map_err(StoreError::from)
+            let prepared = catching("preparing a base body", || {
+                prepare_base(&generation.artifacts, &control).map_err(StoreError::from)
             });
-            match improved {
-                Ok(artifacts) => {
-                    let next = Generation {
-                        number: generation.number + 1,
-                        artifacts: Arc::new(artifacts),
-                        made_by: generation.made_by,
-                        tolerance: generation.tolerance,
-                        improves: Some(generation.number),
-                        stitch_ids: Vec::new(),
-                        computed_in: control.now(),
-                    };
-                    if let Err(error) = keep(&live, &next) {
-                        tracing::warn!(%error, "the improved generation could not be kept");
-                        return;
-                    }
-                    tracing::info!(generation = next.number, "generation improved");
-                    live.publish_and_follow(Arc::new(next), || ());
-                }
-                Err(error) => tracing::info!(%error, "generation not improved"),
+            match prepared {
+                Ok(base) => store.move_to_base(&live, base, rebasing),
+                Err(error) => tracing::info!(%error, "base body not prepared"),
             }
         };
-        match self.builds.submit(behind(session).in_lane(session.id), run) {
-            Ok(ticket) => session.set_improvement(ticket.cancel_on_drop()),
-            Err(error) => tracing::debug!(%error, "generation not improved"),
+        // Not in the session's lane: edits go on meanwhile.
+        if let Err(error) = self.builds.submit(behind(session), run) {
+            tracing::debug!(%error, "base body not prepared");
         }
+    }
+
+    /// Makes what is current then an update of `base`.
+    fn move_to_base(
+        self: &Arc<Self>,
+        session: &Arc<LiveSession>,
+        base: StitchedBase,
+        rebasing: Rebasing,
+    ) {
+        let (store, live) = (self.clone(), session.clone());
+        let run = move |cancel: &CancelFlag| {
+            let _span = tracing::info_span!("rebasing", session = %live.id).entered();
+            let Ok(generation) = live.generation(GenerationRef::Current) else { return };
+            let control = TaskControl::silent(cancel);
+            let made = catching("rebasing", || {
+                rebase(&generation.artifacts, &base, &control).map_err(StoreError::from)
+            });
+            // From here on another one may be prepared, as after edits that this one does not serve.
+            drop(rebasing);
+            match made {
+                Ok(Some(artifacts)) => store.publish(&live, &generation, artifacts, control.now()),
+                Ok(None) => store.follow_up(&live),
+                Err(error) => tracing::info!(%error, "generation not rebased"),
+            }
+        };
+        if let Err(error) = self.builds.submit(behind(session).in_lane(session.id), run) {
+            tracing::debug!(%error, "generation not rebased");
+        }
+    }
+
+    /// Makes `artifacts`, the same body as `generation`, the current generation of `session`.
+    fn publish(
+        self: &Arc<Self>,
+        session: &Arc<LiveSession>,
+        generation: &Generation,
+        artifacts: Artifacts,
+        computed_in: Duration,
+    ) {
+        let next = Generation {
+            number: generation.number + 1,
+            artifacts: Arc::new(artifacts),
+            made_by: generation.made_by,
+            tolerance: generation.tolerance,
+            improves: Some(generation.improves.unwrap_or(generation.number)),
+            stitch_ids: Vec::new(),
+            computed_in,
+        };
+        if let Err(error) = keep(session, &next) {
+            tracing::warn!(%error, "the improved generation could not be kept");
+            return;
+        }
+        tracing::info!(generation = next.number, "generation improved");
+        session.publish_and_follow(Arc::new(next), || ());
+        self.follow_up(session);
     }
 }

@@ -56,8 +56,10 @@ struct Inner {
     error: Option<Arc<StoreError>>,
     /// Candidate pairs named since the session was opened, ends ascending.
     seams: BTreeSet<[u32; 2]>,
-    /// The task that improves the current generation.
+    /// The task that finishes the current generation.
     improvement: Option<CancelOnDrop>,
+    /// A base body that holds the stitches is being prepared.
+    is_rebasing: bool,
     simulation: Option<Arc<SimulationHandle>>,
     /// How an earlier process simulated the session: until it is restored.
     simulation_config: Option<SimulationConfig>,
@@ -182,6 +184,7 @@ impl LiveSession {
                 error: None,
                 seams: BTreeSet::new(),
                 improvement: None,
+                is_rebasing: false,
                 simulation: None,
                 simulation_config: None,
                 channels: Some(channels),
@@ -359,13 +362,19 @@ impl LiveSession {
         self.lock().channels.is_none()
     }
 
-    /// The task that improves the current generation.
+    /// A base body is about to be prepared, until what is returned is dropped; `None` if one is already.
+    pub(crate) fn begin_rebasing(self: &Arc<Self>) -> Option<Rebasing> {
+        let was = std::mem::replace(&mut self.lock().is_rebasing, true);
+        (!was).then(|| Rebasing(self.clone()))
+    }
+
+    /// The task that finishes the current generation.
     pub(crate) fn set_improvement(&self, task: CancelOnDrop) {
         let previous = self.lock().improvement.replace(task);
         drop(previous);
     }
 
-    /// Stops improving the current generation.
+    /// Stops finishing the current generation.
     pub(crate) fn cancel_improvement(&self) {
         // Not under the lock: dropping it takes the pool's.
         let task = self.lock().improvement.take();
@@ -424,7 +433,7 @@ impl LiveSession {
         let current = inner.current()?;
         match base_generation {
             // A larger one may become current while the edit waits.
-            Some(given) if given < current.number && current.improves != Some(given) => {
+            Some(given) if given < current.number && !current.is_body_of(given) => {
                 Err(StoreError::WrongGeneration { given, current: current.number })
             }
             _ => Ok(()),
@@ -441,8 +450,7 @@ impl LiveSession {
         let current = inner.current()?.clone();
         // One that only improves the caller's is the same body to it.
         if let Some(given) = base_generation
-            && given != current.number
-            && current.improves != Some(given)
+            && !current.is_body_of(given)
         {
             return Err(StoreError::WrongGeneration { given, current: current.number });
         }
@@ -561,6 +569,15 @@ impl LiveSession {
         }
         inner.channels = None;
         self.settled.send_replace(true);
+    }
+}
+
+/// A base body is being prepared for this session.
+pub(crate) struct Rebasing(Arc<LiveSession>);
+
+impl Drop for Rebasing {
+    fn drop(&mut self) {
+        self.0.lock().is_rebasing = false;
     }
 }
 

@@ -137,12 +137,20 @@ pub struct Generation {
     pub made_by: Option<Method>,
     /// Relative eigenvalue error asked for.
     pub tolerance: f64,
-    /// The generation that this one is the same body as, with what a deadline had left undone.
+    /// The generation that this one and those between are the same body as: with what a deadline had left
+    /// undone, or as an update of another base body.
     pub improves: Option<u64>,
     /// Stitches made by the edit, in the order of the request.
     pub stitch_ids: Vec<StitchId>,
     /// Time the computation took (waiting not included; zero for a body taken from another session).
     pub computed_in: Duration,
+}
+
+impl Generation {
+    /// Whether it is the same body as the generation `given`.
+    pub(crate) fn is_body_of(&self, given: u64) -> bool {
+        (self.improves.unwrap_or(self.number)..=self.number).contains(&given)
+    }
 }
 
 impl std::fmt::Debug for Generation {

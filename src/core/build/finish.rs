@@ -149,7 +149,7 @@ pub(super) fn examined<T>(
     examine: impl FnOnce(&Samples<'_>, &Samples<'_>) -> T,
 ) -> Result<T, BuildError> {
     let Draft { prepared, state, weighing, span, .. } = draft;
-    let subspace = span.reduce(&prepared, state.stitches(), &weighing)?;
+    let subspace = span.reduce(&prepared, &state.open_stitches(), &weighing)?;
     let fit = Fit::new(&prepared, &subspace, &weighing, cubature)?;
     let CubatureParams { n_training_poses, seed, .. } = *cubature;
     let training = fit.samples(n_training_poses, seed, control)?;

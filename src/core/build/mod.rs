@@ -44,7 +44,7 @@ use crate::modes::seams::{BaseModes, Seams};
 use crate::modes::stitched::{StitchMatrix, StitchedStiffness};
 use crate::modes::{AuditedSpectrum, LinearModes, rigid};
 use artifacts::{Origin, Prepared, SeamCache};
-use base::base_for;
+use base::{base_for, bases_before};
 use close::closed_shape;
 use derive::{Body, new_derivatives};
 use finish::{Draft, finish};
@@ -290,7 +290,8 @@ pub fn rebuild(
         clock.finish(Stage::Closing)?;
         Ok::<_, BuildError>(mesh)
     })?;
-    let (base, earlier) = base_for(previous, state.base(), &mut clock)?;
+    let base = base_for(previous, state.base(), &mut clock)?;
+    let earlier = bases_before(previous, &base);
     let reuse = previous.cubature.map(|_| (previous.rule.clone(), previous.trained_error));
     let plan = Plan {
         method: params.method,
@@ -302,20 +303,33 @@ pub fn rebuild(
     Ok((update_base(base, earlier, state, plan, clock)?, ids))
 }
 
-/// `previous` from a base body that holds all of its stitches: the same body, to which edits add less.
-/// What is prepared for the old base body serves no more.
-pub fn rebase(previous: &Artifacts, control: &dyn Control) -> Result<Artifacts, BuildError> {
+/// A base body that holds stitches.
+pub struct StitchedBase(Arc<Prepared>);
+
+/// Prepares a base body that holds all stitches of `body`. Edits may go on meanwhile.
+pub fn prepare_base(body: &Artifacts, control: &dyn Control) -> Result<StitchedBase, BuildError> {
     let mut clock = StageClock::start(control);
-    let state = previous.state.rebased();
-    let (base, earlier) = base_for(previous, state.base(), &mut clock)?;
+    base_for(body, body.state.rebased().base(), &mut clock).map(StitchedBase)
+}
+
+/// `previous` as an update of `base`: the same body, to which edits add less. `None` if edits have come in
+/// between after which `base` serves no longer ([`EditState::on_base`]).
+pub fn rebase(
+    previous: &Artifacts,
+    base: &StitchedBase,
+    control: &dyn Control,
+) -> Result<Option<Artifacts>, BuildError> {
+    let StitchedBase(base) = base;
+    let Some(state) = previous.state.on_base(&base.state) else { return Ok(None) };
     let plan = Plan {
         method: Method::Flexibility,
-        tolerance: previous.tolerance.unwrap_or(previous.origin.tolerance),
+        tolerance: previous.origin.tolerance,
         reuse: previous.cubature.map(|_| (previous.rule.clone(), previous.trained_error)),
         seams: base.seams(),
         closings: previous.closings.clone(),
     };
-    update_base(base, earlier, state, plan, clock)
+    let earlier = bases_before(previous, base);
+    update_base(base.clone(), earlier, state, plan, StageClock::start(control)).map(Some)
 }
 
 /// How a generation comes from its base body.

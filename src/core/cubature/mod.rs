@@ -8,8 +8,9 @@
 //!
 //! Cubature of only what is beyond the force's linear part, UᵀKUq being known, was tried: held-out errors of 120 points
 //! fall from 8.2 to 6.7 % on the small stomach and from 2.1 to 1.3 % on the small plant. But a static solution on the
-//! small stomach (`paper_table --accuracy`) then found no equilibrium: what the points lack of UᵀKU need not be
-//! positive semi-definite, whereas a sum with weights that are not negative has the energy of a material.
+//! small stomach (`paper_table --accuracy`) then found no equilibrium. Why was not looked into; what the points
+//! lack of UᵀKU need not be positive semi-definite, whereas a sum with weights that are not negative has the energy of
+//! a material.
 
 mod nnls;
 mod pose_block;

@@ -42,7 +42,7 @@ impl StitchMatrix {
         self.stretch(x, |s| self.root_stiffness[s])
     }
 
-    /// AᵀU, without the columns of U.
+    /// AᵀU (3s×r) of a combination U of r columns, of which only the rows of the stitches' ends are made.
     pub fn transpose_times_combination(&self, u: &Combination) -> Mat<f64> {
         let row = |end: Option<usize>, axis| end.map(|v| 3 * v + axis);
         let ends_of = |side: usize| -> Vec<Option<usize>> {

@@ -11,7 +11,8 @@ fn next(previous: &Artifacts, edits: &[Edit], method: Method) -> Artifacts {
 }
 
 fn rebased(body: &Artifacts) -> Artifacts {
-    build::rebase(body, &Uncontrolled).unwrap()
+    let base = build::prepare_base(body, &Uncontrolled).unwrap();
+    build::rebase(body, &base, &Uncontrolled).unwrap().unwrap()
 }
 
 fn assert_spectra_agree(found: &Artifacts, exact: &Artifacts, allowed: f64) {
@@ -88,6 +89,27 @@ fn a_base_body_that_holds_the_stitches_is_the_stitched_body() {
         ];
         assert_eq!(next(&base, &again, Method::Flexibility).n_open_stitches(), 0);
     }
+}
+
+#[test]
+fn edits_go_on_while_a_base_body_is_prepared() {
+    let bar = bar(Cut::HalfDepth);
+    let open = build::build(bar.mesh.clone(), &params(&bar, 10), &Uncontrolled).unwrap();
+    let (some, rest) = bar.pairs.split_at(6);
+    let first = next(&open, &stitch(some, STITCH_N_M), Method::Flexibility);
+    let base = build::prepare_base(&first, &Uncontrolled).unwrap();
+    let rebased = |body: &Artifacts| build::rebase(body, &base, &Uncontrolled).unwrap();
+    // What was added is added to it.
+    let more = next(&first, &stitch(rest, STITCH_N_M), Method::Flexibility);
+    let exact = next(&first, &stitch(rest, STITCH_N_M), Method::FromScratch);
+    let followed = rebased(&more).unwrap();
+    assert_eq!(followed.n_open_stitches(), rest.len());
+    assert_spectra_agree(&followed, &exact, 1e-2);
+    // It does not serve where a stitch of its own is gone, or the body itself is another.
+    let without = next(&more, &[Edit::Unstitch { stitch_ids: vec![0] }], Method::Flexibility);
+    assert!(rebased(&without).is_none());
+    let scale = Edit::ScaleStiffness { domain: bar.mesh.domains()[0], factor: 2.0 };
+    assert!(rebased(&next(&more, &[scale], Method::Flexibility)).is_none());
 }
 
 #[test]

@@ -80,7 +80,9 @@ fn every_generation_can_be_made_again_alone() {
     add("inside a seam, in no time", &[], &hurried, &[]);
     add("partly prepared on the way", &stitch(&rest[..2], 1e3), &plain, rest);
     add("inside a larger seam", &stitch(&rest[2..], 1e4), &plain, &[]);
-    let rebased = build::rebase(&line.last().unwrap().1, &Uncontrolled).unwrap();
+    let last = &line.last().unwrap().1;
+    let base = build::prepare_base(last, &Uncontrolled).unwrap();
+    let rebased = build::rebase(last, &base, &Uncontrolled).unwrap().unwrap();
     line.push(("rebased", rebased));
     let mut add = |name, edits: &[Edit], params: &RebuildParams, seam: &[[u32; 2]]| {
         let made = rebuilt(&line.last().unwrap().1, edits, params);

@@ -126,6 +126,7 @@ async fn a_base_body_that_serves_no_longer_is_replaced_behind_the_edits() {
     let store = open();
     let id = ready(&store).await;
     let seam = seam();
+    store.add_seams(id, seam.clone()).await.unwrap();
     let few = store.edit(id, stitch(&seam[..3])).await.unwrap();
     let many = store.edit(id, stitch(&seam[3..5])).await.unwrap();
     assert_eq!([&few, &many].map(|g| g.artifacts.n_open_stitches()), [3, 5]);
@@ -143,6 +144,12 @@ async fn a_base_body_that_serves_no_longer_is_replaced_behind_the_edits() {
     let pairs = many.artifacts.eigenvalues_per_s2().iter().zip(next.artifacts.eigenvalues_per_s2());
     for (a, b) in pairs {
         assert!((a / b - 1.0).abs() < 1e-2, "{a} {b}");
+    }
+    // What had been prepared for the old base body is prepared for this one.
+    let deadline = Instant::now() + PATIENCE;
+    while current(&store, id).artifacts.n_prepared_pairs() < seam.len() - 5 {
+        assert!(Instant::now() < deadline, "seams of the new base body are not prepared");
+        tokio::time::sleep(Duration::from_millis(5)).await;
     }
     // To the caller it is the generation of its last edit.
     let further = EditRequest { base_generation: Some(many.number), ..stitch(&seam[5..7]) };
