@@ -62,6 +62,10 @@ pub trait Control: Sync {
     fn is_cancelled(&self) -> bool;
     /// `stage` has come to `fraction` (0 to 1) of its work.
     fn progress(&self, stage: Stage, fraction: f64);
+    /// `stage` has ended; what it took is the time since the last call, or since the computation began.
+    fn ended(&self, stage: Stage) {
+        self.progress(stage, 1.0);
+    }
     /// A monotonic clock; only differences are used.
     fn now(&self) -> Duration;
     /// Whether there is room for a computation that takes about so many bytes of memory.

@@ -6,6 +6,7 @@ use crate::session::Progress;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use sutura_core::control::{Control, Stage};
+use tracing::Span;
 
 /// Given to the core for one task.
 pub(crate) struct TaskControl<'a> {
@@ -22,6 +23,14 @@ struct Reporter<'a> {
     session: &'a LiveSession,
     interval: Duration,
     last: Mutex<Option<(Stage, Instant)>>,
+    stages: StageSpans,
+}
+
+/// A span for each stage, within the one in which the task began. Stages are known as they end, so the span under
+/// way gets its name then; what follows the last one is the rest.
+struct StageSpans {
+    task: Span,
+    current: Mutex<Span>,
 }
 
 impl<'a> TaskControl<'a> {
@@ -36,7 +45,8 @@ impl<'a> TaskControl<'a> {
         session: &'a LiveSession,
         interval: Duration,
     ) -> Self {
-        let reporter = Some(Reporter { session, interval, last: Mutex::new(None) });
+        let stages = StageSpans::begin();
+        let reporter = Some(Reporter { session, interval, last: Mutex::new(None), stages });
         Self { cancel, begin: Instant::now(), reporter, admits: None }
     }
 
@@ -59,6 +69,13 @@ impl Control for TaskControl<'_> {
         }
     }
 
+    fn ended(&self, stage: Stage) {
+        if let Some(reporter) = &self.reporter {
+            reporter.stages.ended(stage);
+        }
+        self.progress(stage, 1.0);
+    }
+
     fn now(&self) -> Duration {
         self.begin.elapsed()
     }
@@ -66,6 +83,29 @@ impl Control for TaskControl<'_> {
     fn admits(&self, n_bytes: usize) -> bool {
         self.admits.is_none_or(|admits| admits(n_bytes))
     }
+}
+
+impl StageSpans {
+    fn begin() -> StageSpans {
+        let task = Span::current();
+        StageSpans { current: Mutex::new(stage_within(&task)), task }
+    }
+
+    fn ended(&self, stage: Stage) {
+        let mut current = self.current.lock().unwrap_or_else(PoisonError::into_inner);
+        current.record("stage", stage.name());
+        *current = stage_within(&self.task);
+    }
+}
+
+impl Drop for StageSpans {
+    fn drop(&mut self) {
+        self.current.get_mut().unwrap_or_else(PoisonError::into_inner).record("stage", "rest");
+    }
+}
+
+fn stage_within(task: &Span) -> Span {
+    tracing::debug_span!(parent: task, "stage", stage = tracing::field::Empty)
 }
 
 impl Reporter<'_> {

@@ -103,7 +103,7 @@ impl<'a> StageClock<'a> {
         let now = self.control.now();
         self.timings.push((stage, now.saturating_sub(self.last)));
         self.last = now;
-        self.control.progress(stage, 1.0);
+        self.control.ended(stage);
         control::check(self.control)
     }
 }

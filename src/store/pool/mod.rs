@@ -69,15 +69,17 @@ pub(crate) struct Place {
     class: Class,
     lane: Option<SessionId>,
     account: Account,
-    /// Whatever the task logs is said within it.
-    span: tracing::Span,
+    /// What the task is, where its class does not tell.
+    what: Option<&'static str>,
+    /// Whose part the task is.
+    cause: tracing::Span,
 }
 
 impl Place {
     /// In the class, in no lane, on the common account, within the caller's span.
     pub(crate) fn new(class: Class) -> Place {
-        let span = tracing::Span::current();
-        Place { class, lane: None, account: Account::Common, span }
+        let cause = tracing::Span::current();
+        Place { class, lane: None, account: Account::Common, what: None, cause }
     }
 
     /// One of a session's tasks, which run one after another.
@@ -92,12 +94,13 @@ impl Place {
 
     /// No part of what the caller does.
     pub(crate) fn apart(self) -> Place {
-        Place { span: tracing::Span::none(), ..self }
+        Place { cause: tracing::Span::none(), ..self }
     }
 }
 
 struct Task {
     lane: Option<SessionId>,
+    /// Begins as the task is queued; whatever it logs is said within it.
     span: tracing::Span,
     queued: Instant,
     cancel: CancelFlag,
@@ -178,7 +181,7 @@ impl Pool {
         place: Place,
         run: impl FnOnce(&CancelFlag) + Send + 'static,
     ) -> Result<Ticket, StoreError> {
-        let Place { class, lane, account, span } = place;
+        let Place { class, lane, account, what, cause } = place;
         let cancel = CancelFlag::default();
         let limits = &self.shared.limits[class];
         let mut state = self.shared.lock();
@@ -192,6 +195,7 @@ impl Pool {
             return Err(busy(expected_s));
         }
         let (queued, run) = (Instant::now(), Box::new(run));
+        let span = tracing::info_span!(parent: &cause, "task", kind = limits.name, what);
         let task = Task { lane, span, queued, cancel: cancel.clone(), run };
         state.waiting[class].push(account.clone(), task);
         drop(state);
@@ -208,7 +212,7 @@ impl Pool {
         job: impl FnOnce(&CancelFlag) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
         let (reply, answer) = oneshot::channel();
-        let ticket = self.submit(place, move |cancel| {
+        let ticket = self.submit(Place { what: Some(what), ..place }, move |cancel| {
             // The caller may have gone meanwhile; then the answer is dropped.
             let _ = reply.send(catching(what, || job(cancel)));
         })?;
