@@ -6,7 +6,7 @@ use crate::metrics;
 use crate::problem::{Kind, Problem};
 use crate::rate::Rates;
 use metrics_exporter_prometheus::PrometheusHandle;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Instant;
 use sutura_store::Store;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
@@ -28,7 +28,11 @@ struct Inner {
     winding_down: watch::Sender<bool>,
     tenants: Mutex<metrics::Tenants>,
     keys: watch::Sender<Arc<Keyring>>,
+    continue_trace: OnceLock<ContinueTrace>,
 }
+
+/// Makes the span of a request part of the trace that its headers name, if they do.
+pub type ContinueTrace = fn(&tracing::Span, &axum::http::HeaderMap);
 
 impl Gateway {
     /// Opens `store` to clients within `limits`; `recorder` renders `/metrics`.
@@ -41,6 +45,7 @@ impl Gateway {
             winding_down: watch::Sender::new(false),
             tenants: Mutex::default(),
             keys: watch::Sender::default(),
+            continue_trace: OnceLock::new(),
             store,
             limits,
             recorder,
@@ -61,6 +66,16 @@ impl Gateway {
     /// Asks everybody for one of these keys from now on, unless they leave the daemon open.
     pub fn set_keys(&self, keys: Keyring) {
         self.inner.keys.send_replace(Arc::new(keys));
+    }
+
+    /// From now on requests over HTTP take part in the traces of those who ask. Only the first call counts.
+    pub fn continue_traces(&self, by: ContinueTrace) {
+        let _ = self.inner.continue_trace.set(by);
+    }
+
+    /// How a request takes part in the trace of whoever asks.
+    pub(crate) fn continue_trace(&self) -> Option<ContinueTrace> {
+        self.inner.continue_trace.get().copied()
     }
 
     /// The keys that open the daemon.

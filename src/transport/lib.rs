@@ -39,7 +39,7 @@ mod tls;
 
 pub use access::{Grant, KeyHash, Keyring, Role, hash, key};
 pub use conversion::session::UNNAMED;
-pub use gateway::Gateway;
+pub use gateway::{ContinueTrace, Gateway};
 pub use limits::Limits;
 pub use metrics::install_recorder;
 pub use offline::read_request;

@@ -18,7 +18,8 @@ use sutura_proto::{bus, bus::Attachment, media};
 use sutura_store::{Account, GenerationRef, SessionId};
 use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
-use tracing::Instrument;
+use tracing::field::Empty;
+use tracing::{Instrument, Span};
 use uuid::Uuid;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::query::{Query, Queryable};
@@ -111,7 +112,8 @@ struct Answer {
 async fn serve(gateway: &Gateway, resource: Resource, query: Query) {
     let Attachment { key, request_id } = attachment(query.attachment());
     let request_id = request_id.unwrap_or_else(|| Uuid::now_v7().simple().to_string());
-    let span = tracing::info_span!("query", key = %query.key_expr(), request_id);
+    let span = tracing::info_span!("query", key = %query.key_expr(), request_id, resource = Empty,
+        status = Empty);
     answered(gateway, resource, query, key.as_deref(), request_id).instrument(span).await;
 }
 
@@ -129,6 +131,7 @@ async fn answered(
         problem.log();
     }
     reply(query, answers, Some(request_id)).await;
+    Span::current().record("resource", resource.name()).record("status", i64::from(status));
     metrics::bus_query(resource.name(), status, begun.elapsed());
 }
 

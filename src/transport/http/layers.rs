@@ -17,15 +17,17 @@ use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::csrf::{CsrfLayer, ProtectionError};
 use tower_http::request_id::MakeRequestUuid;
 use tower_http::trace::{DefaultOnFailure, TraceLayer};
-use tracing::Level;
+use tracing::field::Empty;
+use tracing::{Level, Span};
 
 static REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
 /// Surrounds `router` with everything that holds for all routes, the outermost first.
-pub(super) fn surround(router: Router) -> Router {
+pub(super) fn surround(router: Router, gateway: &Gateway) -> Router {
+    let gateway = gateway.clone();
     // Load that is shed counts as a failure too, and must not flood the log.
     let trace = TraceLayer::new_for_http()
-        .make_span_with(span)
+        .make_span_with(move |request: &Request| span(&gateway, request))
         .on_failure(DefaultOnFailure::new().level(Level::DEBUG));
     router.layer(
         ServiceBuilder::new()
@@ -103,10 +105,14 @@ async fn drop_unusable_request_id(mut request: Request, next: Next) -> Response 
     next.run(request).await
 }
 
-fn span(request: &Request) -> tracing::Span {
+fn span(gateway: &Gateway, request: &Request) -> Span {
     let request_id = request.headers().get(&REQUEST_ID).and_then(|id| id.to_str().ok());
-    tracing::info_span!("request", method = %request.method(), path = request.uri().path(),
-        request_id = request_id.unwrap_or_default())
+    let span = tracing::info_span!("request", method = %request.method(), path = request.uri().path(),
+        request_id = request_id.unwrap_or_default(), route = Empty, status = Empty);
+    if let Some(continue_trace) = gateway.continue_trace() {
+        continue_trace(&span, request.headers());
+    }
+    span
 }
 
 async fn measure(request: Request, next: Next) -> Response {
@@ -116,8 +122,10 @@ async fn measure(request: Request, next: Next) -> Response {
     let response = next.run(request).await;
     // Unmatched paths and invented methods share one label, so that clients cannot make up series.
     let route = route.as_ref().map_or("unmatched", MatchedPath::as_str);
-    let method = if response.status() == 405 { "other" } else { method.as_str() };
-    metrics::http_request(method, route, response.status().as_u16(), begun.elapsed());
+    let status = response.status().as_u16();
+    Span::current().record("route", route).record("status", i64::from(status));
+    let method = if status == 405 { "other" } else { method.as_str() };
+    metrics::http_request(method, route, status, begun.elapsed());
     response
 }
 

@@ -95,8 +95,8 @@ pub fn router(gateway: Gateway) -> Router {
         .fallback(no_route)
         .method_not_allowed_fallback(no_method)
         .layer(DefaultBodyLimit::max(gateway.limits().max_document_bytes))
-        .with_state(gateway);
-    layers::surround(router)
+        .with_state(gateway.clone());
+    layers::surround(router, &gateway)
 }
 
 /// Every path of the API.
