@@ -51,7 +51,8 @@ impl Daemon {
         Daemon::launch(sutura, folder, &[], level, log)
     }
 
-    fn launch(
+    /// Starts one by a command of one's own, on a data directory, with further arguments and a log.
+    pub(crate) fn launch(
         mut sutura: Command,
         folder: &Path,
         arguments: &[&OsStr],

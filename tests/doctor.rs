@@ -1,19 +1,21 @@
-//! What `sutura doctor` says of a certificate.
+//! What `sutura doctor` says of a certificate and of a collector.
 
+use crate::telemetry::{Collector, TOKEN};
 use rcgen::{CertificateParams, KeyPair, date_time_ymd};
 use std::fs;
+use std::net::TcpListener;
 use std::path::Path;
 use std::process::Command;
 
-/// What the check of TLS found: its outcome and its words; `None` if nothing was checked.
-fn checked(folder: &Path, settings: &str) -> Option<(String, String)> {
+/// What the check of this name found: its outcome and its words; `None` if nothing was checked.
+fn checked(folder: &Path, name: &str, settings: &str) -> Option<(String, String)> {
     let config = folder.join("sutura.toml");
     fs::write(&config, settings).unwrap();
     let mut sutura = Command::new(env!("CARGO_BIN_EXE_sutura"));
     let output = sutura.current_dir(folder).args(["doctor", "--json", "--config"]).arg(&config);
     let checks: Vec<serde_json::Value> =
         serde_json::from_slice(&output.output().unwrap().stdout).unwrap();
-    let check = checks.into_iter().find(|check| check["name"] == "tls")?;
+    let check = checks.into_iter().find(|check| check["name"] == name)?;
     let text = |member: &str| check[member].as_str().unwrap().to_owned();
     Some((text("outcome"), text("found")))
 }
@@ -37,9 +39,9 @@ fn a_certificate_is_checked_before_clients_refuse_it() {
     certify(folder, "new", 3990, 4000);
     let doctor = |certificate: &str, key: &str| {
         let settings = format!("[tls]\ncertificate = {certificate:?}\nprivate_key = {key:?}\n");
-        checked(folder, &settings).unwrap()
+        checked(folder, "tls", &settings).unwrap()
     };
-    assert_eq!(checked(folder, ""), None);
+    assert_eq!(checked(folder, "tls", ""), None);
     let (outcome, found) = doctor("good.pem", "good.key");
     assert!(outcome == "ok" && found.contains("fits its key"), "{found}");
     for (certificate, key, told) in [
@@ -53,6 +55,29 @@ fn a_certificate_is_checked_before_clients_refuse_it() {
         let (outcome, found) = doctor(certificate, key);
         assert!(outcome == "failed" && found.contains(told), "{certificate}, {key}: {found}");
     }
-    let (outcome, found) = checked(folder, "[tls]\ncertificate = \"good.pem\"\n").unwrap();
+    let half = "[tls]\ncertificate = \"good.pem\"\n";
+    let (outcome, found) = checked(folder, "tls", half).unwrap();
     assert!(outcome == "failed" && found.contains("[tls]"), "{found}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_collector_is_asked_whether_it_takes_traces() {
+    let scratch = tempfile::tempdir().unwrap();
+    let folder = scratch.path();
+    let doctor = |settings: &str| checked(folder, "collector", settings);
+    assert_eq!(doctor(""), None);
+    let collector = Collector::start().await;
+    let known = collector.settings();
+    let (outcome, found) = doctor(&known).unwrap();
+    assert!(outcome == "ok" && found.contains("/v1/traces takes traces"), "{found}");
+    assert!(collector.spans().is_empty());
+    let (outcome, found) = doctor(&known.replace(TOKEN, "another")).unwrap();
+    assert!(outcome == "warning" && found.contains("401"), "{found}");
+    let (outcome, found) = doctor(&known.replace(TOKEN, "split\\nin two")).unwrap();
+    assert!(outcome == "failed" && found.contains("otlp_headers"), "{found}");
+    // An address that was free a moment ago.
+    let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let (outcome, found) =
+        doctor(&format!("[telemetry]\notlp_endpoint = \"http://{address}\"\n")).unwrap();
+    assert!(outcome == "warning" && found.to_lowercase().contains("refused"), "{found}");
 }

@@ -15,5 +15,6 @@ mod operations;
 mod plain_http;
 mod refusals;
 mod simulation;
+mod telemetry;
 mod tls;
 mod walls;

@@ -3,6 +3,7 @@
 
 use crate::config::{Config, HalfTls, NoCredentials};
 use crate::keys::{KeyError, KeyStore};
+use crate::telemetry::continue_trace;
 use metrics_exporter_prometheus::PrometheusHandle;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -150,6 +151,7 @@ impl Daemon {
         let keyring = keyring.filter(|keyring| !keyring.is_empty()).unwrap_or_default();
         let is_open = keyring.is_open();
         gateway.set_keys(keyring.clone());
+        gateway.continue_traces(continue_trace);
         let address = config.http.listen;
         let refused = |source| StartError::Http { address, source };
         let listener = TcpListener::bind(address).await.map_err(refused)?;

@@ -1,6 +1,7 @@
 //! `sutura doctor`: whether this machine can run a daemon as configured, and what it has.
 
 use crate::config::{Config, ConfigError};
+use crate::telemetry::Collector;
 use clap::Args;
 use serde::Serialize;
 use std::io::{IsTerminal, Write};
@@ -103,6 +104,7 @@ pub(crate) async fn run(args: &DoctorArgs) -> Result<(), DoctorError> {
         data(&config),
     ];
     checks.extend(object_store(&config).await);
+    checks.extend(collector(&config).await);
     checks.extend(tls(&config));
     let is_served = daemon(&config, &mut checks).await;
     checks.push(port("http", config.http.listen, is_served));
@@ -219,6 +221,29 @@ async fn object_store(config: &Config) -> Option<Check> {
             "look at [object_store], at the credentials, and at the store",
         ),
     }
+}
+
+/// Whether the collector of traces can be reached and takes what it is sent. A daemon does without.
+async fn collector(config: &Config) -> Option<Check> {
+    const NAME: &str = "collector";
+    let traces = config.telemetry.otlp_endpoint.as_ref()?.traces();
+    let opened = Collector::of(&config.telemetry).map_err(|error| error.to_string());
+    let answer = match opened.transpose()? {
+        Ok(collector) => collector.probe().await.map_err(|error| error.to_string()),
+        Err(error) => {
+            let advice = "a daemon would not start: correct it";
+            return Some(Check::not_ok(NAME, Outcome::Failed, error, advice));
+        }
+    };
+    Some(match answer {
+        Ok(()) => Check::ok(NAME, format!("{traces} takes traces")),
+        Err(error) => Check::not_ok(
+            NAME,
+            Outcome::Warning,
+            format!("{traces}: {error}"),
+            "traces would be lost, nothing else: look at [telemetry], and at the collector",
+        ),
+    })
 }
 
 /// Whether the certificate and its key fit together, and how long they are good.

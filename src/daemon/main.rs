@@ -11,6 +11,7 @@ mod keys;
 mod logging;
 mod prepare;
 mod signals;
+mod telemetry;
 
 use clap::Parser;
 use client::export::ExportCommandError;
@@ -22,6 +23,8 @@ use prepare::PrepareError;
 use signals::{Signals, Wanted};
 use std::io::Write;
 use std::process::ExitCode;
+use std::time::Instant;
+use telemetry::{Telemetry, TelemetryError};
 
 /// Builds and edits take and return hundreds of megabytes at a time: from the system's allocator
 /// each comes as fresh 4 KiB pages, and the faults cost as much as the factorization itself
@@ -76,8 +79,9 @@ fn block_on(future: impl Future<Output = Result<(), Failure>>) -> Result<(), Fai
 /// Runs a daemon until it is told to stop. Each address it serves stands on one line of the
 /// standard output, as soon as it can be used.
 async fn serve(args: ServeArgs) -> Result<(), Failure> {
-    let config = args.resolve()?;
-    logging::install(&config.log)?;
+    let mut config = args.resolve()?;
+    let telemetry = Telemetry::start(&config.telemetry, config.zenoh.name())?;
+    logging::install(&config.log, telemetry.as_ref())?;
     let recorder = sutura_transport::install_recorder()?;
     let mut signals = Signals::listen()?;
     let daemon = Daemon::start(&config, recorder).await?;
@@ -91,9 +95,17 @@ async fn serve(args: ServeArgs) -> Result<(), Failure> {
             Wanted::End(signal) => break signal,
         }
     };
-    tracing::info!(signal, deadline_s = config.shutdown.deadline.as_secs_f64(), "stopping");
+    let deadline = config.shutdown.deadline;
+    tracing::info!(signal, deadline_s = deadline.as_secs_f64(), "stopping");
+    let stop = async {
+        let begun = Instant::now();
+        daemon.stop().await;
+        if let Some(telemetry) = telemetry {
+            telemetry.stop(deadline.saturating_sub(begun.elapsed())).await;
+        }
+    };
     tokio::select! {
-        () = daemon.stop() => Ok(()),
+        () = stop => Ok(()),
         signal = signals.end() => Err(Failure::Impatient(signal)),
     }
 }
@@ -101,7 +113,7 @@ async fn serve(args: ServeArgs) -> Result<(), Failure> {
 /// Runs a daemon on free loopback ports and demonstrates it.
 async fn demonstrate(args: DemoArgs) -> Result<(), Failure> {
     let config = args.daemon_config();
-    logging::install(&config.log)?;
+    logging::install(&config.log, None)?;
     let daemon = Daemon::start(&config, sutura_transport::install_recorder()?).await?;
     let result = demo::run(&args, &daemon).await;
     daemon.stop().await;
@@ -120,6 +132,8 @@ enum Failure {
     Config(#[from] config::ConfigError),
     #[error(transparent)]
     LogFilter(#[from] logging::LogFilterError),
+    #[error(transparent)]
+    Telemetry(#[from] TelemetryError),
     #[error(transparent)]
     Key(#[from] keys::KeyError),
     #[error(transparent)]
@@ -158,7 +172,9 @@ impl Failure {
 
     fn exit_code(&self) -> u8 {
         match self {
-            Failure::Config(_) | Failure::LogFilter(_) => BAD_INPUT,
+            Failure::Config(_)
+            | Failure::LogFilter(_)
+            | Failure::Telemetry(TelemetryError::Header(_)) => BAD_INPUT,
             Failure::Key(keys::KeyError::Unknown(_) | keys::KeyError::Invalid { .. }) => BAD_INPUT,
             Failure::Start(
                 daemon::StartError::Open { .. }
@@ -172,6 +188,7 @@ impl Failure {
             Failure::Doctor(DoctorError::Config(_)) => BAD_INPUT,
             Failure::Demo(error) if error.is_bad_input() => BAD_INPUT,
             Failure::Start(_)
+            | Failure::Telemetry(_)
             | Failure::Key(_)
             | Failure::Metrics(_)
             | Failure::System(_)

@@ -50,6 +50,16 @@ pub(super) fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64
     }
 }
 
+/// A number from 0 to 1.
+pub(super) fn fraction<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let given = f64::deserialize(deserializer)?;
+    if (0.0..=1.0).contains(&given) {
+        Ok(given)
+    } else {
+        Err(D::Error::custom(format_args!("{given} is not between 0 and 1")))
+    }
+}
+
 /// A positive time in s.
 pub(super) fn seconds<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Duration, D::Error> {
     positive(deserializer).map(Duration::from_secs_f64)

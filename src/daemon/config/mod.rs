@@ -13,6 +13,7 @@ mod log;
 mod memory;
 mod object_store;
 mod shutdown;
+mod telemetry;
 mod tls;
 mod traffic;
 mod work;
@@ -25,6 +26,7 @@ pub(crate) use log::{LogConfig, LogFormat};
 pub(crate) use memory::MemoryConfig;
 pub(crate) use object_store::{NoCredentials, ObjectStoreConfig};
 pub(crate) use shutdown::ShutdownConfig;
+pub(crate) use telemetry::{BadHeader, TelemetryConfig};
 pub(crate) use tls::{HalfTls, TlsConfig};
 pub(crate) use zenoh::{ZenohConfig, ZenohEndpoint};
 
@@ -60,6 +62,8 @@ pub(crate) struct Config {
     pub(crate) memory: MemoryConfig,
     /// What is logged, and how.
     pub(crate) log: LogConfig,
+    /// Where traces go.
+    pub(crate) telemetry: TelemetryConfig,
     /// How the daemon ends.
     pub(crate) shutdown: ShutdownConfig,
 }

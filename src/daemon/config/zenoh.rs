@@ -38,9 +38,13 @@ impl Default for ZenohConfig {
 }
 
 impl ZenohConfig {
+    /// The daemon's name: if it has none, a new one, which stays.
+    pub(crate) fn name(&mut self) -> &str {
+        self.daemon.get_or_insert_with(new_name)
+    }
+
     /// What the transport needs.
     pub(crate) fn bus(&self, tls: Option<TlsFiles>, folder: Option<&Path>) -> BusConfig {
-        let new_name = || format!("sutura-{}", uuid::Uuid::now_v7().simple());
         BusConfig {
             listen: self.listen.0,
             daemon: self.daemon.clone().unwrap_or_else(new_name),
@@ -50,6 +54,10 @@ impl ZenohConfig {
             private_folder: folder.map(Path::to_owned),
         }
     }
+}
+
+fn new_name() -> String {
+    format!("sutura-{}", uuid::Uuid::now_v7().simple())
 }
 
 /// A TCP endpoint as Zenoh writes it: `tcp/127.0.0.1:7447`. On the way in, `tcp/` may be left out.
