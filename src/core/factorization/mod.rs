@@ -37,7 +37,8 @@ pub enum FactorizationError {
 #[derive(Debug)]
 pub struct SparseCholesky {
     symbolic: Arc<SymbolicCholesky>,
-    values: Vec<f64>,
+    /// Of each piece of the analysis.
+    values: Vec<Vec<f64>>,
 }
 
 impl SparseCholesky {
@@ -96,7 +97,7 @@ impl SparseCholesky {
 
     /// Bytes held by the factor.
     pub fn bytes(&self) -> usize {
-        size_of_val(&self.values[..])
+        self.values.iter().map(|piece| size_of_val(&piece[..])).sum()
     }
 }
 

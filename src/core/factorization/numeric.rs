@@ -1,56 +1,43 @@
 //! Numeric factorization: multifrontal (Duff and Reid 1983), on all cores.
 //!
-//! The front of a supernode is its panel, written straight into the factor, and the Schur
+//! The front of a supernode is its panel, packed into the factor once it is eliminated, and the Schur
 //! complement on the rows below, its *update matrix*, which the parent's front adds up. Subtrees of
 //! the elimination forest are tasks of their own; the few large fronts above them are shared by all
 //! threads, chunk by chunk.
 
 use super::front;
-use super::panel::Threads;
+use super::panel::{self, Threads};
 use super::symbolic::{Piece, SymbolicCholesky};
 use faer::{Accum, MatMut};
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
-/// The values of the factor of a matrix whose `entries` are the blocks (each by rows) of the
+/// The values of the factor, piece by piece, of a matrix whose `entries` are the blocks (each by rows) of the
 /// analysed pattern. The error is the row of the matrix with a non-positive pivot.
-pub(super) fn factorize(symbolic: &SymbolicCholesky, entries: &[f64]) -> Result<Vec<f64>, usize> {
-    let mut values = vec![0.0; symbolic.n_values()];
+///
+/// Pieces have memory of their own: allocators give huge pages to blocks of less than some size (mimalloc:
+/// a gigabyte), and a factor in small pages takes the kernel a third as long as us.
+pub(super) fn factorize(
+    symbolic: &SymbolicCholesky,
+    entries: &[f64],
+) -> Result<Vec<Vec<f64>>, usize> {
     let roots: Vec<usize> = (0..symbolic.supernodes().len())
         .filter(|&s| symbolic.supernodes()[s].parent.is_none())
         .collect();
-    let panels = split_values(symbolic, &mut values);
-    let job = Job { symbolic, entries, panels, buffers: Buffers::default() };
+    let values = symbolic.pieces().iter().map(|_| Mutex::default()).collect();
+    let job = Job { symbolic, entries, values, buffers: Buffers::default() };
     let done: Vec<Result<Vec<f64>, usize>> =
         roots.into_par_iter().with_max_len(1).map(|root| job.eliminate(root)).collect();
     done.into_iter().try_for_each(|update| update.map(drop))?;
-    Ok(values)
-}
-
-/// The panels of each piece.
-fn split_values<'a>(
-    symbolic: &SymbolicCholesky,
-    values: &'a mut [f64],
-) -> Vec<Mutex<&'a mut [f64]>> {
-    let mut rest = values;
-    symbolic
-        .pieces()
-        .iter()
-        .map(|piece| {
-            let supernodes = &symbolic.supernodes()[piece.supernodes.clone()];
-            let count = supernodes.iter().map(|s| s.values.len()).sum();
-            let (own, after) = std::mem::take(&mut rest).split_at_mut(count);
-            rest = after;
-            Mutex::new(own)
-        })
-        .collect()
+    let values = job.values.into_iter();
+    Ok(values.map(|piece| piece.into_inner().unwrap_or_else(PoisonError::into_inner)).collect())
 }
 
 struct Job<'a> {
     symbolic: &'a SymbolicCholesky,
     entries: &'a [f64],
-    /// The panels of each piece, until the task that fills them takes them.
-    panels: Vec<Mutex<&'a mut [f64]>>,
+    /// Of each piece, once its task is done.
+    values: Vec<Mutex<Vec<f64>>>,
     buffers: Buffers,
 }
 
@@ -82,15 +69,17 @@ impl Job<'_> {
     /// Eliminates a supernode after everything below it in the forest, branches side by side, and
     /// returns its update matrix, at the beginning of a buffer. Threads work depth first, so that few update matrices wait.
     fn eliminate(&self, supernode: usize) -> Result<Vec<f64>, usize> {
-        let Job { symbolic, entries, panels, buffers } = self;
-        let index = symbolic.piece_of_root(supernode);
+        let Job { symbolic, entries, values, buffers } = self;
+        let index = symbolic.supernodes()[supernode].piece;
         let piece = &symbolic.pieces()[index];
-        let panel = {
-            let mut slot = panels[index].lock().unwrap_or_else(PoisonError::into_inner);
-            std::mem::take(&mut *slot)
+        let keep = |panels: Vec<f64>| {
+            *values[index].lock().unwrap_or_else(PoisonError::into_inner) = panels;
         };
         if piece.is_subtree {
-            return self.eliminate_subtree(piece, panel);
+            let mut panels = vec![0.0; symbolic.n_values_of(piece)];
+            let update = self.eliminate_subtree(piece, &mut panels)?;
+            keep(panels);
+            return Ok(update);
         }
         let children = symbolic.children(supernode);
         let waiting: Vec<Result<Vec<f64>, usize>> = children
@@ -98,16 +87,21 @@ impl Job<'_> {
             .with_max_len(1)
             .map(|&child| self.eliminate(child as usize))
             .collect();
-        let area = symbolic.update_area(supernode);
+        let (area, panel_area) = (symbolic.update_area(supernode), symbolic.panel_area(supernode));
         let mut update = buffers.take(area);
-        let mut front = Front::new(symbolic, supernode, panel, &mut update[..area]);
+        let mut columns = buffers.take(panel_area);
+        let front = (&mut columns[..panel_area], &mut update[..area]);
+        let mut front = Front::new(symbolic, supernode, front.0, front.1);
         front.add_entries(entries);
         for (&child, waiting) in children.iter().zip(waiting) {
             let (child, waiting) = (child as usize, waiting?);
             front.add_update(child, &waiting[..symbolic.update_area(child)]);
             buffers.give(waiting);
         }
-        front.eliminate(Threads::All)?;
+        let mut packed = vec![0.0; symbolic.n_values_of(piece)];
+        front.eliminate(&mut packed, Threads::All)?;
+        keep(packed);
+        buffers.give(columns);
         Ok(update)
     }
 
@@ -126,6 +120,8 @@ impl Job<'_> {
             top = top - below(supernode) + area;
         }
         let mut stack = self.buffers.take(highest);
+        let widest = piece.supernodes.clone().map(|s| symbolic.panel_area(s)).max().unwrap_or(0);
+        let mut columns = self.buffers.take(widest);
         let mut top = 0;
         for supernode in piece.supernodes.clone() {
             let (panel, rest) = values.split_at_mut(symbolic.supernodes()[supernode].values.len());
@@ -133,7 +129,8 @@ impl Job<'_> {
             let area = symbolic.update_area(supernode);
             let base = top - below(supernode);
             let (waiting, update) = stack.split_at_mut(top);
-            let mut front = Front::new(symbolic, supernode, panel, &mut update[..area]);
+            let columns = &mut columns[..symbolic.panel_area(supernode)];
+            let mut front = Front::new(symbolic, supernode, columns, &mut update[..area]);
             front.add_entries(self.entries);
             let mut at = base;
             for &child in symbolic.children(supernode) {
@@ -141,13 +138,14 @@ impl Job<'_> {
                 front.add_update(child as usize, &waiting[at..next]);
                 at = next;
             }
-            front.eliminate(Threads::One)?;
+            front.eliminate(panel, Threads::One)?;
             stack.copy_within(top..top + area, base);
             top = base + area;
         }
         let mut update = self.buffers.take(top);
         update[..top].copy_from_slice(&stack[..top]);
         self.buffers.give(stack);
+        self.buffers.give(columns);
         Ok(update)
     }
 }
@@ -166,7 +164,7 @@ struct Front<'a> {
 }
 
 impl<'a> Front<'a> {
-    /// `panel` is zero, `update` holds anything.
+    /// `panel` and `update` hold anything.
     fn new(
         symbolic: &'a SymbolicCholesky,
         supernode: usize,
@@ -174,6 +172,7 @@ impl<'a> Front<'a> {
         update: &'a mut [f64],
     ) -> Front<'a> {
         let (width, depth) = symbolic.width_and_depth(supernode);
+        panel.fill(0.0);
         for column in 0..depth {
             update[column * (depth + 1)..][..depth - column].fill(0.0);
         }
@@ -266,10 +265,10 @@ impl<'a> Front<'a> {
         runs
     }
 
-    /// Factorizes the panel and subtracts its part from the update matrix.
-    fn eliminate(self, threads: Threads) -> Result<(), usize> {
-        let Front { symbolic, supernode, width, depth, panel, update } = self;
-        let mut panel = MatMut::from_column_major_slice_mut(panel, width + depth, width);
+    /// Factorizes the panel, keeps it in `packed` and subtracts its part from the update matrix.
+    fn eliminate(self, packed: &mut [f64], threads: Threads) -> Result<(), usize> {
+        let Front { symbolic, supernode, width, depth, panel: columns, update } = self;
+        let mut panel = MatMut::from_column_major_slice_mut(columns, width + depth, width);
         front::factor_panel(panel.as_mut(), threads).map_err(|column| {
             let first = symbolic.supernodes()[supernode].columns.start;
             let size = symbolic.size();
@@ -278,6 +277,7 @@ impl<'a> Front<'a> {
         let update = MatMut::from_column_major_slice_mut(update, depth, depth);
         let below = panel.as_ref().split_at_row(width).1;
         front::subtract_product(update, Accum::Add, below, threads);
+        panel::pack(columns, width + depth, width, packed, threads);
         Ok(())
     }
 }

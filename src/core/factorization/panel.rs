@@ -1,26 +1,37 @@
-//! Triangular solves with the panel of one supernode for a row of right-hand sides.
+//! The panel of one supernode as it is kept, and triangular solves with it for a row of right-hand sides.
 //!
-//! A lane is a right-hand side: entries of the factor are read once, in the order in which they lie,
-//! and spread over the lanes. Up to 16 of them the memory is the bound, which general
-//! matrix products (made for wide right-hand sides, they copy the factor first) do not reach: 16 and
-//! 32 columns took them 45 and 76 ms where this takes 36 and 64, on 31 million values and two cores.
+//! Columns are kept in *groups* of eight (the last ones of a panel in groups of 4, 2 and 1), and each
+//! group by rows from its diagonal down, so that a whole row is a cache line and a solve reads the factor
+//! from one end to the other. The processor by itself fetches too little of that ahead, a page at a
+//! time: a core got 5 to 7 GB/s of panels of a hundred rows, by columns or by groups. [`Fetch`] asks for four
+//! pages at a time, and gets 10 to 14.
+//!
+//! A lane is a right-hand side: entries of the factor are read once and spread over the lanes.
 
 #![expect(clippy::needless_range_loop, reason = "see the note on loops below")]
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Values of `N` right-hand sides at one row; `N` is 8, 16 or 32.
 pub(super) type Row<const N: usize> = [f64; N];
 
-/// Columns of the factor that one pass over the right-hand sides uses.
-const COLUMNS: usize = 8;
+/// Columns of a whole group.
+const GROUP: usize = 8;
 
-/// Columns solved before the rows below them are brought up to date, by all threads.
+/// Right-hand sides at a time: with so many, the solutions of a group's columns stay in the registers of
+/// AVX-512.
+const LANES: usize = 16;
+
+/// Columns solved before all threads bring the rows below them up to date.
 const BLOCK: usize = 128;
 
-/// Rows or columns of one chunk of work.
+/// Rows of one chunk of work.
 const CHUNK: usize = 256;
+
+/// Columns of one chunk of work.
+const COLUMN_CHUNK: usize = 32;
 
 /// Whether the chunks of a panel are shared between threads.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -31,31 +42,181 @@ pub(super) enum Threads {
     All,
 }
 
-/// Part of a factor's panel: column j begins at `values[j * stride]`.
+/// A panel, a lower trapezoid.
 #[derive(Clone, Copy)]
 pub(super) struct Panel<'a> {
     values: &'a [f64],
-    stride: usize,
-    n_columns: usize,
+    /// Where it begins among the values of its piece of the factor.
+    begin: usize,
+    shape: Shape,
+}
+
+/// Rows and columns of a panel, and from these where everything lies.
+#[derive(Clone, Copy)]
+struct Shape {
+    height: usize,
+    width: usize,
+}
+
+/// Numbers kept of a panel of `height` × `width`: at most as many as it has.
+pub(super) fn n_packed(height: usize, width: usize) -> usize {
+    Shape { height, width }.start(width)
+}
+
+impl Shape {
+    /// Where the group that begins with column `first` begins.
+    fn start(self, first: usize) -> usize {
+        let (in_last, height) = (first % GROUP, self.height);
+        let mut column = first - in_last;
+        let mut start = column * height - column * column.saturating_sub(GROUP) / 2;
+        for width in [4, 2, 1] {
+            if in_last & width != 0 {
+                start += width * (height - column);
+                column += width;
+            }
+        }
+        start
+    }
+
+    /// Columns of the group that begins with column `first`.
+    fn group_from(self, first: usize) -> usize {
+        let rest = self.width - first;
+        if rest >= GROUP { GROUP } else { 1 << rest.ilog2() }
+    }
+
+    /// Columns of the group that ends before column `end`.
+    fn group_before(self, end: usize) -> usize {
+        if end % GROUP == 0 { GROUP } else { 1 << (end % GROUP).trailing_zeros() }
+    }
+}
+
+/// Keeps the lower trapezoid of `columns`, `height` × `width` by columns, in `packed`.
+pub(super) fn pack(
+    columns: &[f64],
+    height: usize,
+    width: usize,
+    packed: &mut [f64],
+    threads: Threads,
+) {
+    assert_eq!(columns.len(), height * width);
+    assert_eq!(packed.len(), n_packed(height, width));
+    let shape = Shape { height, width };
+    let (mut first, mut rest) = (0, packed);
+    let mut groups = Vec::with_capacity(width / GROUP + 3);
+    while first < width {
+        let size = shape.group_from(first);
+        let (group, after) = rest.split_at_mut(size * (height - first));
+        groups.push((first, size, group));
+        rest = after;
+        first += size;
+    }
+    let pack = |(first, size, group): (usize, usize, &mut [f64])| {
+        let columns = &columns[first * height..][..size * height];
+        for (row, values) in group.chunks_exact_mut(size).enumerate() {
+            for (c, value) in values.iter_mut().enumerate() {
+                *value = if row < c { 0.0 } else { columns[c * height + first + row] };
+            }
+        }
+    };
+    match threads {
+        Threads::One => groups.into_iter().for_each(pack),
+        Threads::All => groups.into_par_iter().for_each(pack),
+    }
 }
 
 impl<'a> Panel<'a> {
-    /// A whole panel, `height` × `width` by columns.
-    pub(super) fn new(values: &'a [f64], height: usize, width: usize) -> Panel<'a> {
-        assert_eq!(values.len(), height * width);
-        Panel { values, stride: height, n_columns: width }
+    /// What [`pack`] has kept at `place` among the values of a piece of the factor.
+    pub(super) fn new(
+        values: &'a [f64],
+        place: Range<usize>,
+        height: usize,
+        width: usize,
+    ) -> Panel<'a> {
+        assert_eq!(place.len(), n_packed(height, width));
+        Panel { begin: place.start, values: &values[place], shape: Shape { height, width } }
     }
 
-    /// Rows from `row` and `n_columns` columns from `column` on.
-    fn part(self, row: usize, column: usize, n_columns: usize) -> Panel<'a> {
-        let start = (column * self.stride + row).min(self.values.len());
-        Panel { values: &self.values[start..], stride: self.stride, n_columns }
-    }
-
-    /// The first `count` entries of a column.
+    /// Rows of the panel in the group of `C` columns that begins with column `first`.
     #[inline(always)]
-    fn column(&self, column: usize, count: usize) -> &'a [f64] {
-        &self.values[column * self.stride..][..count]
+    fn rows<const C: usize>(&self, first: usize, rows: Range<usize>) -> Rows<'a, C> {
+        let start = self.shape.start(first) + (rows.start - first) * C;
+        Rows {
+            l: self.values[start..][..rows.len() * C].as_chunks().0,
+            fetch: Fetch { begin: (self.begin + start) / GROUP, gap: 0 },
+        }
+    }
+
+    /// The same where the next rows to be read are those of the next group, or of the one before.
+    #[inline(always)]
+    fn piece<const C: usize>(&self, first: usize, rows: Range<usize>, to: Next) -> Rows<'a, C> {
+        let distance = self.shape.height - first;
+        let distance = if to == Next::After { distance.saturating_sub(GROUP) } else { distance };
+        let gap = distance.saturating_sub(rows.len());
+        Rows { fetch: Fetch { begin: 0, gap }, ..self.rows(first, rows) }
+    }
+}
+
+/// Which group is read next.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Next {
+    After,
+    Before,
+}
+
+/// Consecutive rows of a group.
+#[derive(Clone, Copy)]
+struct Rows<'a, const C: usize> {
+    l: &'a [[f64; C]],
+    fetch: Fetch,
+}
+
+/// What is to be fetched while rows of a whole group are read, each a cache line: lines one *window* further
+/// on, a quarter of the window at a time, which are four pages.
+#[derive(Clone, Copy)]
+struct Fetch {
+    /// Which line of all that are read the first row is.
+    begin: usize,
+    /// Lines between the end of these rows and those that are read next.
+    gap: usize,
+}
+
+/// Lines of a window: 16 KB.
+const WINDOW: usize = 256;
+
+impl Fetch {
+    /// The line of a window that is asked for when its line `at` would be.
+    #[inline(always)]
+    fn permuted(at: usize) -> usize {
+        (at % 4) * (WINDOW / 4) + at / 4
+    }
+
+    /// On the way down, at row `i`.
+    #[inline(always)]
+    fn ahead<const C: usize>(self, l: &[[f64; C]], i: usize) {
+        if C != GROUP {
+            return;
+        }
+        let at = self.begin + i;
+        let line = at - at % WINDOW + WINDOW + Fetch::permuted(at % WINDOW) - self.begin;
+        let line = if line < l.len() { line } else { line + self.gap };
+        prefetch_index::prefetch_index(l, line);
+    }
+
+    /// On the way up, at row `i`.
+    #[inline(always)]
+    fn behind<const C: usize>(self, l: &[[f64; C]], i: usize) {
+        if C != GROUP {
+            return;
+        }
+        let at = self.begin + i;
+        // How far before the first row; negative where it is one of these.
+        let distance =
+            self.begin
+                .wrapping_sub(at - at % WINDOW)
+                .wrapping_add(1)
+                .wrapping_add(Fetch::permuted(WINDOW - 1 - at % WINDOW)) as isize;
+        let distance = if distance <= 0 { distance } else { distance + self.gap as isize };
+        prefetch_index::prefetch_index(l, 0usize.wrapping_sub(distance as usize));
     }
 }
 
@@ -68,13 +229,19 @@ pub(super) fn solve_forward<const N: usize>(
 ) {
     let width = x.len();
     below.fill([0.0; N]);
+    if threads == Threads::One {
+        return dispatch(Forward { panel, first: 0, x, below });
+    }
     for first in (0..width).step_by(BLOCK) {
         let size = BLOCK.min(width - first);
         let (solved, rest) = x[first..].split_at_mut(size);
-        dispatch(SolveTriangle { l: panel.part(first, first, size), x: solved });
+        dispatch(Forward { panel, first, x: solved, below: &mut [] });
         let solved = &*solved;
-        subtract(panel.part(first + size, first, size), solved, rest, threads);
-        subtract(panel.part(width, first, size), solved, below, threads);
+        for (y, row) in [(rest, first + size), (&mut *below, width)] {
+            y.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, y)| {
+                dispatch(Subtract { panel, first, row: row + chunk * CHUNK, x: solved, y });
+            });
+        }
     }
 }
 
@@ -86,40 +253,20 @@ pub(super) fn solve_backward<const N: usize>(
     threads: Threads,
 ) {
     let width = x.len();
-    subtract_transposed(panel.part(width, 0, width), below, x, threads);
+    if threads == Threads::One {
+        return dispatch(Backward { panel, first: 0, x, below });
+    }
+    let subtract = |first: usize, x: &mut [Row<N>], row: usize, y: &[Row<N>]| {
+        x.par_chunks_mut(COLUMN_CHUNK).enumerate().for_each(|(chunk, x)| {
+            dispatch(SubtractTransposed { panel, first: first + chunk * COLUMN_CHUNK, row, x, y });
+        });
+    };
+    subtract(0, x, width, below);
     for first in (0..width).step_by(BLOCK).rev() {
         let size = BLOCK.min(width - first);
         let (current, solved) = x[first..].split_at_mut(size);
-        subtract_transposed(panel.part(first + size, first, size), solved, current, threads);
-        dispatch(SolveTransposedTriangle { l: panel.part(first, first, size), x: current });
-    }
-}
-
-/// Y ← Y − LX, rows shared between threads.
-fn subtract<const N: usize>(l: Panel<'_>, x: &[Row<N>], y: &mut [Row<N>], threads: Threads) {
-    match threads {
-        Threads::One => dispatch(Subtract { l, x, y }),
-        Threads::All => y.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, y)| {
-            dispatch(Subtract { l: l.part(chunk * CHUNK, 0, l.n_columns), x, y });
-        }),
-    }
-}
-
-/// X ← X − LᵀY, columns shared between threads.
-fn subtract_transposed<const N: usize>(
-    l: Panel<'_>,
-    y: &[Row<N>],
-    x: &mut [Row<N>],
-    threads: Threads,
-) {
-    match threads {
-        Threads::One => dispatch(SubtractTransposed { l, y, x }),
-        Threads::All => {
-            x.par_chunks_mut(CHUNK / 8).enumerate().for_each(|(chunk, x)| {
-                let l = l.part(0, chunk * (CHUNK / 8), x.len());
-                dispatch(SubtractTransposed { l, y, x });
-            });
-        }
+        subtract(first, current, first + size, solved);
+        dispatch(Backward { panel, first, x: current, below: &[] });
     }
 }
 
@@ -140,9 +287,70 @@ fn store<S: Simd, const N: usize>(row: &mut Row<N>, part: usize, x: S::f64s) {
     S::as_mut_simd_f64s(row).0[part] = x;
 }
 
-/// Y ← Y − LX.
+/// Calls a function of a group with the number of its columns as a constant.
+macro_rules! with_columns {
+    ($count:expr, $function:ident::<S, N>($($argument:expr),*)) => {
+        match $count {
+            8 => $function::<S, N, 8>($($argument),*),
+            4 => $function::<S, N, 4>($($argument),*),
+            2 => $function::<S, N, 2>($($argument),*),
+            _ => $function::<S, N, 1>($($argument),*),
+        }
+    };
+}
+
+/// X ← L₁⁻¹X for the columns from `first` on, as many as X has rows; B ← B − L₂X for the rows below the
+/// panel's triangle, if B has any.
+struct Forward<'a, const N: usize> {
+    panel: Panel<'a>,
+    first: usize,
+    x: &'a mut [Row<N>],
+    below: &'a mut [Row<N>],
+}
+
+impl<const N: usize> WithSimd for Forward<'_, N> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Forward { panel, first, x, below } = self;
+        let mut at = 0;
+        while at < x.len() {
+            let size = panel.shape.group_from(first + at);
+            let x = &mut x[at..];
+            with_columns!(size, forward_group::<S, N>(simd, panel, first + at, x, below));
+            at += size;
+        }
+    }
+}
+
+#[inline(always)]
+fn forward_group<S: Simd, const N: usize, const C: usize>(
+    simd: S,
+    panel: Panel<'_>,
+    first: usize,
+    x: &mut [Row<N>],
+    below: &mut [Row<N>],
+) {
+    let (current, rest) = x.split_at_mut(C);
+    let diagonal = panel.rows::<C>(first, first..first + C).l;
+    for c in 0..C {
+        let (done, under) = current.split_at_mut(c + 1);
+        scale::<S, N>(simd, &mut done[c], diagonal[c][c].recip());
+        for r in 0..under.len() {
+            subtract_row::<S, N>(simd, diagonal[c + 1 + r][c], &done[c], &mut under[r]);
+        }
+    }
+    let (begin, width) = (first + C, panel.shape.width);
+    subtract_rows::<S, N, C>(simd, panel.rows(first, begin..begin + rest.len()), current, rest);
+    subtract_rows::<S, N, C>(simd, panel.rows(first, width..width + below.len()), current, below);
+}
+
+/// Y ← Y − LX for the columns from `first` on, as many as X has rows; Y begins at the panel's row `row`.
 struct Subtract<'a, const N: usize> {
-    l: Panel<'a>,
+    panel: Panel<'a>,
+    first: usize,
+    row: usize,
     x: &'a [Row<N>],
     y: &'a mut [Row<N>],
 }
@@ -152,74 +360,138 @@ impl<const N: usize> WithSimd for Subtract<'_, N> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Subtract { l, x, y } = self;
-        let mut first = 0;
-        while first + COLUMNS <= x.len() {
-            subtract_block::<S, N>(simd, l, x, y, first);
-            first += COLUMNS;
-        }
-        while first < x.len() {
-            subtract_columns::<S, N, 1>(simd, l, x, y, first);
-            first += 1;
+        let Subtract { panel, first, row, x, y } = self;
+        let mut at = 0;
+        while at < x.len() {
+            let size = panel.shape.group_from(first + at);
+            let x = &x[at..];
+            with_columns!(size, subtract_group::<S, N>(simd, panel, first + at, row, x, y));
+            at += size;
         }
     }
 }
 
-/// Y ← Y − LX for [`COLUMNS`] columns of L from `first` on, as many at a time as registers hold.
 #[inline(always)]
-fn subtract_block<S: Simd, const N: usize>(
+fn subtract_group<S: Simd, const N: usize, const C: usize>(
     simd: S,
-    l: Panel<'_>,
+    panel: Panel<'_>,
+    first: usize,
+    row: usize,
     x: &[Row<N>],
     y: &mut [Row<N>],
-    first: usize,
 ) {
-    if N <= 16 {
-        subtract_columns::<S, N, COLUMNS>(simd, l, x, y, first);
+    let rows = panel.piece::<C>(first, row..row + y.len(), Next::After);
+    subtract_rows::<S, N, C>(simd, rows, x, y);
+}
+
+/// Y ← Y − LX for rows of one group.
+#[inline(always)]
+fn subtract_rows<S: Simd, const N: usize, const C: usize>(
+    simd: S,
+    rows: Rows<'_, C>,
+    x: &[Row<N>],
+    y: &mut [Row<N>],
+) {
+    if N > LANES {
+        subtract_lanes::<S, N, C, 0, LANES>(simd, rows, x, y);
+        subtract_lanes::<S, N, C, LANES, LANES>(simd, rows, x, y);
     } else {
-        subtract_columns::<S, N, { COLUMNS / 2 }>(simd, l, x, y, first);
-        subtract_columns::<S, N, { COLUMNS / 2 }>(simd, l, x, y, first + COLUMNS / 2);
+        subtract_lanes::<S, N, C, 0, N>(simd, rows, x, y);
     }
 }
 
-/// Y ← Y − LX for `C` columns of L from `first` on.
+/// The same for `W` right-hand sides from `LANE` on.
 #[inline(always)]
-fn subtract_columns<S: Simd, const N: usize, const C: usize>(
+fn subtract_lanes<S: Simd, const N: usize, const C: usize, const LANE: usize, const W: usize>(
     simd: S,
-    l: Panel<'_>,
+    rows: Rows<'_, C>,
     x: &[Row<N>],
     y: &mut [Row<N>],
-    first: usize,
 ) {
+    let Rows { l, fetch } = rows;
     let zero = simd.splat_f64s(0.0);
-    let mut minus = [[zero; N]; C];
-    let mut columns: [&[f64]; C] = [&[]; C];
+    let (begin, n_parts) = (LANE / S::F64_LANES, W / S::F64_LANES);
+    let mut minus = [[zero; W]; C];
     for c in 0..C {
-        columns[c] = l.column(first + c, y.len());
-        for part in 0..N / S::F64_LANES {
-            minus[c][part] = simd.sub_f64s(zero, load::<S, N>(&x[first + c], part));
+        for part in 0..n_parts {
+            minus[c][part] = simd.sub_f64s(zero, load::<S, N>(&x[c], begin + part));
         }
     }
-    for i in 0..y.len() {
+    let y = &mut y[..l.len()];
+    for i in 0..l.len() {
+        if LANE == 0 {
+            fetch.ahead(l, i);
+        }
         let mut factor = [zero; C];
         for c in 0..C {
-            factor[c] = simd.splat_f64s(columns[c][i]);
+            factor[c] = simd.splat_f64s(l[i][c]);
         }
-        for part in 0..N / S::F64_LANES {
-            let mut sum = load::<S, N>(&y[i], part);
+        for part in 0..n_parts {
+            let mut sum = load::<S, N>(&y[i], begin + part);
             for c in 0..C {
                 sum = simd.mul_add_f64s(factor[c], minus[c][part], sum);
             }
-            store::<S, N>(&mut y[i], part, sum);
+            store::<S, N>(&mut y[i], begin + part, sum);
         }
     }
 }
 
-/// X ← X − LᵀY.
-struct SubtractTransposed<'a, const N: usize> {
-    l: Panel<'a>,
-    y: &'a [Row<N>],
+/// X ← L₁⁻ᵀ(X − L₂ᵀB) for the columns from `first` on, as many as X has rows; L₂ is empty if B is.
+struct Backward<'a, const N: usize> {
+    panel: Panel<'a>,
+    first: usize,
     x: &'a mut [Row<N>],
+    below: &'a [Row<N>],
+}
+
+impl<const N: usize> WithSimd for Backward<'_, N> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Backward { panel, first, x, below } = self;
+        let mut end = x.len();
+        while end > 0 {
+            let size = panel.shape.group_before(first + end);
+            end -= size;
+            let x = &mut x[end..];
+            with_columns!(size, backward_group::<S, N>(simd, panel, first + end, x, below));
+        }
+    }
+}
+
+#[inline(always)]
+fn backward_group<S: Simd, const N: usize, const C: usize>(
+    simd: S,
+    panel: Panel<'_>,
+    first: usize,
+    x: &mut [Row<N>],
+    below: &[Row<N>],
+) {
+    let (current, solved) = x.split_at_mut(C);
+    let (begin, width) = (first + C, panel.shape.width);
+    let rows = panel.rows(first, width..width + below.len());
+    subtract_transposed_rows::<S, N, C>(simd, rows, current, below);
+    let rows = panel.rows(first, begin..begin + solved.len());
+    subtract_transposed_rows::<S, N, C>(simd, rows, current, solved);
+    let diagonal = panel.rows::<C>(first, first..first + C).l;
+    for c in 0..C {
+        let c = C - 1 - c;
+        let (done, under) = current.split_at_mut(c + 1);
+        for r in 0..under.len() {
+            subtract_row::<S, N>(simd, diagonal[c + 1 + r][c], &under[r], &mut done[c]);
+        }
+        scale::<S, N>(simd, &mut done[c], diagonal[c][c].recip());
+    }
+}
+
+/// X ← X − LᵀY for the columns from `first` on, as many as X has rows; Y begins at the panel's row `row`.
+struct SubtractTransposed<'a, const N: usize> {
+    panel: Panel<'a>,
+    first: usize,
+    row: usize,
+    x: &'a mut [Row<N>],
+    y: &'a [Row<N>],
 }
 
 impl<const N: usize> WithSimd for SubtractTransposed<'_, N> {
@@ -227,131 +499,89 @@ impl<const N: usize> WithSimd for SubtractTransposed<'_, N> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let SubtractTransposed { l, y, x } = self;
-        let mut first = 0;
-        while first + COLUMNS <= x.len() {
-            subtract_transposed_block::<S, N>(simd, l, y, x, first);
-            first += COLUMNS;
-        }
-        while first < x.len() {
-            subtract_transposed_columns::<S, N, 1>(simd, l, y, x, first);
-            first += 1;
+        let SubtractTransposed { panel, first, row, x, y } = self;
+        let mut end = x.len();
+        while end > 0 {
+            let size = panel.shape.group_before(first + end);
+            end -= size;
+            let x = &mut x[end..];
+            with_columns!(
+                size,
+                subtract_transposed_group::<S, N>(simd, panel, first + end, row, x, y)
+            );
         }
     }
 }
 
-/// X ← X − LᵀY for [`COLUMNS`] columns of L from `first` on, as many at a time as registers hold.
 #[inline(always)]
-fn subtract_transposed_block<S: Simd, const N: usize>(
+fn subtract_transposed_group<S: Simd, const N: usize, const C: usize>(
     simd: S,
-    l: Panel<'_>,
-    y: &[Row<N>],
-    x: &mut [Row<N>],
+    panel: Panel<'_>,
     first: usize,
+    row: usize,
+    x: &mut [Row<N>],
+    y: &[Row<N>],
 ) {
-    if N <= 16 {
-        subtract_transposed_columns::<S, N, COLUMNS>(simd, l, y, x, first);
+    let rows = panel.piece::<C>(first, row..row + y.len(), Next::Before);
+    subtract_transposed_rows::<S, N, C>(simd, rows, x, y);
+}
+
+/// X ← X − LᵀY for rows of one group.
+#[inline(always)]
+fn subtract_transposed_rows<S: Simd, const N: usize, const C: usize>(
+    simd: S,
+    rows: Rows<'_, C>,
+    x: &mut [Row<N>],
+    y: &[Row<N>],
+) {
+    if N > LANES {
+        subtract_transposed_lanes::<S, N, C, 0, LANES>(simd, rows, x, y);
+        subtract_transposed_lanes::<S, N, C, LANES, LANES>(simd, rows, x, y);
     } else {
-        subtract_transposed_columns::<S, N, { COLUMNS / 2 }>(simd, l, y, x, first);
-        subtract_transposed_columns::<S, N, { COLUMNS / 2 }>(simd, l, y, x, first + COLUMNS / 2);
+        subtract_transposed_lanes::<S, N, C, 0, N>(simd, rows, x, y);
     }
 }
 
-/// X ← X − LᵀY for `C` columns of L from `first` on.
+/// The same for `W` right-hand sides from `LANE` on.
 #[inline(always)]
-fn subtract_transposed_columns<S: Simd, const N: usize, const C: usize>(
+fn subtract_transposed_lanes<
+    S: Simd,
+    const N: usize,
+    const C: usize,
+    const LANE: usize,
+    const W: usize,
+>(
     simd: S,
-    l: Panel<'_>,
-    y: &[Row<N>],
+    rows: Rows<'_, C>,
     x: &mut [Row<N>],
-    first: usize,
+    y: &[Row<N>],
 ) {
+    let Rows { l, fetch } = rows;
     let zero = simd.splat_f64s(0.0);
-    let mut sums = [[zero; N]; C];
-    let mut columns: [&[f64]; C] = [&[]; C];
-    for c in 0..C {
-        columns[c] = l.column(first + c, y.len());
-    }
-    for i in 0..y.len() {
-        let mut row = [zero; N];
-        for part in 0..N / S::F64_LANES {
-            row[part] = load::<S, N>(&y[i], part);
+    let (begin, n_parts) = (LANE / S::F64_LANES, W / S::F64_LANES);
+    let mut sums = [[zero; W]; C];
+    let y = &y[..l.len()];
+    // From the end, as the groups.
+    for i in 0..l.len() {
+        let i = l.len() - 1 - i;
+        if LANE == 0 {
+            fetch.behind(l, i);
+        }
+        let mut row = [zero; W];
+        for part in 0..n_parts {
+            row[part] = load::<S, N>(&y[i], begin + part);
         }
         for c in 0..C {
-            let factor = simd.splat_f64s(columns[c][i]);
-            for part in 0..N / S::F64_LANES {
+            let factor = simd.splat_f64s(l[i][c]);
+            for part in 0..n_parts {
                 sums[c][part] = simd.mul_add_f64s(factor, row[part], sums[c][part]);
             }
         }
     }
     for c in 0..C {
-        for part in 0..N / S::F64_LANES {
-            let difference = simd.sub_f64s(load::<S, N>(&x[first + c], part), sums[c][part]);
-            store::<S, N>(&mut x[first + c], part, difference);
-        }
-    }
-}
-
-/// X ← L⁻¹X, L lower triangular.
-struct SolveTriangle<'a, const N: usize> {
-    l: Panel<'a>,
-    x: &'a mut [Row<N>],
-}
-
-impl<const N: usize> WithSimd for SolveTriangle<'_, N> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let SolveTriangle { l, x } = self;
-        let n = x.len();
-        for first in (0..n).step_by(COLUMNS) {
-            let size = COLUMNS.min(n - first);
-            let (current, rest) = x[first..].split_at_mut(size);
-            for c in 0..size {
-                let column = l.part(first, first + c, 1).column(0, size);
-                let (done, under) = current.split_at_mut(c + 1);
-                scale::<S, N>(simd, &mut done[c], column[c].recip());
-                for r in 0..under.len() {
-                    subtract_row::<S, N>(simd, column[c + 1 + r], &done[c], &mut under[r]);
-                }
-            }
-            let l = l.part(first + size, first, size);
-            if size == COLUMNS {
-                subtract_block::<S, N>(simd, l, current, rest, 0);
-            }
-        }
-    }
-}
-
-/// X ← L⁻ᵀX, L lower triangular.
-struct SolveTransposedTriangle<'a, const N: usize> {
-    l: Panel<'a>,
-    x: &'a mut [Row<N>],
-}
-
-impl<const N: usize> WithSimd for SolveTransposedTriangle<'_, N> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let SolveTransposedTriangle { l, x } = self;
-        let n = x.len();
-        for first in (0..n).step_by(COLUMNS).rev() {
-            let size = COLUMNS.min(n - first);
-            let (current, solved) = x[first..].split_at_mut(size);
-            if size == COLUMNS {
-                let l = l.part(first + size, first, size);
-                subtract_transposed_block::<S, N>(simd, l, solved, current, 0);
-            }
-            for c in (0..size).rev() {
-                let column = l.part(first, first + c, 1).column(0, size);
-                let (done, under) = current.split_at_mut(c + 1);
-                for r in 0..under.len() {
-                    subtract_row::<S, N>(simd, column[c + 1 + r], &under[r], &mut done[c]);
-                }
-                scale::<S, N>(simd, &mut done[c], column[c].recip());
-            }
+        for part in 0..n_parts {
+            let before = load::<S, N>(&x[c], begin + part);
+            store::<S, N>(&mut x[c], begin + part, simd.sub_f64s(before, sums[c][part]));
         }
     }
 }
@@ -372,5 +602,85 @@ fn scale<S: Simd, const N: usize>(simd: S, x: &mut Row<N>, factor: f64) {
     for part in 0..N / S::F64_LANES {
         let scaled = simd.mul_f64s(load::<S, N>(x, part), factor);
         store::<S, N>(x, part, scaled);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A lower trapezoid by columns, its triangle well conditioned.
+    fn trapezoid(height: usize, width: usize) -> Vec<f64> {
+        let entry = |row: usize, column: usize| match row.cmp(&column) {
+            std::cmp::Ordering::Less => f64::NAN,
+            std::cmp::Ordering::Equal => 2.0 + (row as f64).cos(),
+            std::cmp::Ordering::Greater => ((3 * row + 7 * column) as f64).sin() / width as f64,
+        };
+        (0..width).flat_map(|column| (0..height).map(move |row| entry(row, column))).collect()
+    }
+
+    fn rows<const N: usize>(count: usize) -> Vec<Row<N>> {
+        (0..count).map(|i| std::array::from_fn(|j| ((5 * i + 11 * j) as f64).cos())).collect()
+    }
+
+    /// Both solves against their definitions.
+    fn check<const N: usize>(width: usize, depth: usize, threads: Threads) {
+        let height = width + depth;
+        let columns = trapezoid(height, width);
+        // Not at the beginning, and with something behind it.
+        let place = 24..24 + n_packed(height, width);
+        let mut values = vec![f64::NAN; place.end + 40];
+        pack(&columns, height, width, &mut values[place.clone()], threads);
+        let panel = Panel::new(&values, place, height, width);
+        let l = |row: usize, column: usize| columns[column * height + row];
+
+        let b = rows::<N>(width);
+        let (mut x, mut below) = (b.clone(), vec![[f64::NAN; N]; depth]);
+        solve_forward(panel, &mut x, &mut below, threads);
+        for lane in 0..N {
+            let product = |row: usize| -> f64 {
+                (0..width.min(row + 1)).map(|column| l(row, column) * x[column][lane]).sum()
+            };
+            for row in 0..width {
+                assert!((product(row) - b[row][lane]).abs() < 1e-13, "{width} {depth} {row}");
+            }
+            for row in 0..depth {
+                let error = product(width + row) + below[row][lane];
+                assert!(error.abs() < 1e-13, "{width} {depth} {row}");
+            }
+        }
+
+        let below = rows::<N>(depth);
+        let mut x = b.clone();
+        solve_backward(panel, &mut x, &below, threads);
+        for lane in 0..N {
+            for column in 0..width {
+                let inside: f64 = (column..width).map(|row| l(row, column) * x[row][lane]).sum();
+                let outside: f64 =
+                    (0..depth).map(|row| l(width + row, column) * below[row][lane]).sum();
+                let error = inside + outside - b[column][lane];
+                assert!(error.abs() < 1e-12, "{width} {depth} {column}");
+            }
+        }
+    }
+
+    #[test]
+    fn solves_with_panels_of_every_shape() {
+        for width in (1..=20).chain([37, 128, 131, 300]) {
+            for depth in [0, 1, 3, 90, 700] {
+                for threads in [Threads::One, Threads::All] {
+                    check::<8>(width, depth, threads);
+                    check::<16>(width, depth, threads);
+                    check::<32>(width, depth, threads);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_window_is_asked_for_line_by_line() {
+        let mut lines: Vec<usize> = (0..WINDOW).map(Fetch::permuted).collect();
+        lines.sort_unstable();
+        assert_eq!(lines, (0..WINDOW).collect::<Vec<_>>());
     }
 }

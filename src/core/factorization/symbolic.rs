@@ -5,6 +5,7 @@
 
 use super::FactorizationError;
 use super::ordering::nested_dissection;
+use super::panel;
 use crate::assembly::sparse::Pattern;
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::sparse::SymbolicSparseColMatRef;
@@ -33,7 +34,9 @@ pub(super) struct Supernode {
     pub(super) columns: Range<usize>,
     /// Where the vertex positions of the rows below lie in [`SymbolicCholesky::rows`].
     rows: Range<usize>,
-    /// Where its panel lies among the values: height × width by columns, rows below included.
+    /// The piece that it belongs to, and where its panel, rows below included, lies among the values of
+    /// that ([`panel::pack`]).
+    pub(super) piece: usize,
     pub(super) values: Range<usize>,
     /// The supernode of its first row below.
     pub(super) parent: Option<usize>,
@@ -60,6 +63,7 @@ pub struct SymbolicCholesky {
     rows: Vec<u32>,
     children: Vec<u32>,
     pieces: Vec<Piece>,
+    n_values: usize,
     n_flops: f64,
 }
 
@@ -87,22 +91,33 @@ impl SymbolicCholesky {
             let first_row = rows.len();
             rows.extend(structure.supernode(s).pattern().iter().map(|&row| row as u32));
             let below = &rows[first_row..];
-            let panel = (size * size)
+            // The whole rectangle has to be countable: it is made before it is packed.
+            let end = (size * size)
                 .checked_mul(columns.len())
                 .and_then(|width| width.checked_mul(columns.len() + below.len()))
                 .and_then(|panel| n_values.checked_add(panel))
+                .map(|_| size * (columns.len() + below.len()))
+                .map(|height| n_values + panel::n_packed(height, size * columns.len()))
                 .ok_or(FactorizationError::TooLarge)?;
             supernodes.push(Supernode {
                 parent: below.first().map(|&row| supernode_of[row as usize] as usize),
                 columns,
                 rows: first_row..rows.len(),
-                values: n_values..panel,
+                piece: 0,
+                values: n_values..end,
                 children: 0..0,
             });
-            n_values = panel;
+            n_values = end;
         }
         let children = gather_children(&mut supernodes);
         let (pieces, n_flops) = pieces(&supernodes, size);
+        for (index, piece) in pieces.iter().enumerate() {
+            let begin = supernodes[piece.supernodes.start].values.start;
+            for supernode in &mut supernodes[piece.supernodes.clone()] {
+                let Range { start, end } = supernode.values;
+                (supernode.piece, supernode.values) = (index, start - begin..end - begin);
+            }
+        }
         let mut position = vec![0u32; order.len()];
         for (at, &vertex) in order.iter().enumerate() {
             position[vertex] = at as u32;
@@ -116,6 +131,7 @@ impl SymbolicCholesky {
             rows,
             children,
             pieces,
+            n_values,
             n_flops,
         })
     }
@@ -136,9 +152,9 @@ impl SymbolicCholesky {
     pub fn n(&self) -> usize {
         self.size * self.order.len()
     }
-    /// Numbers stored for a factor, zeros of merged supernodes and upper triangles included.
+    /// Numbers stored for a factor, zeros of merged supernodes included.
     pub fn n_values(&self) -> usize {
-        self.supernodes.last().map_or(0, |last| last.values.end)
+        self.n_values
     }
     /// Floating-point operations of a factorization.
     pub fn n_flops(&self) -> f64 {
@@ -166,18 +182,23 @@ impl SymbolicCholesky {
     pub(super) fn pieces(&self) -> &[Piece] {
         &self.pieces
     }
-    /// The piece whose last supernode this is.
-    pub(super) fn piece_of_root(&self, supernode: usize) -> usize {
-        self.pieces.partition_point(|piece| piece.supernodes.end <= supernode)
-    }
     /// Vertex positions of the columns of a piece.
     pub(super) fn columns_of(&self, piece: &Piece) -> Range<usize> {
         let Range { start, end } = piece.supernodes;
         self.supernodes[start].columns.start..self.supernodes[end - 1].columns.end
     }
+    /// Numbers stored for a piece.
+    pub(super) fn n_values_of(&self, piece: &Piece) -> usize {
+        self.supernodes[piece.supernodes.end - 1].values.end
+    }
     /// Numbers in the update matrix of a supernode.
     pub(super) fn update_area(&self, supernode: usize) -> usize {
         self.width_and_depth(supernode).1.pow(2)
+    }
+    /// Numbers in the panel of a supernode before it is packed.
+    pub(super) fn panel_area(&self, supernode: usize) -> usize {
+        let (width, depth) = self.width_and_depth(supernode);
+        width * (width + depth)
     }
     /// Degrees of freedom in the columns and in the rows below of a supernode.
     pub(super) fn width_and_depth(&self, supernode: usize) -> (usize, usize) {
