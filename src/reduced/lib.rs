@@ -14,6 +14,7 @@ mod interaction;
 pub mod material;
 mod modal;
 mod model;
+mod products;
 mod simulation;
 mod statics;
 mod step;

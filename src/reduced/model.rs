@@ -1,12 +1,11 @@
 //! The reduced model: cubature-summed energy, force and stiffness in the subspace
 //! (\[M16\] eq. 14, \[B12\] §3.1), independent of the mesh's size.
 
-use crate::dense::{self, vectorized};
+use crate::dense;
 use crate::frame::FreeBody;
 use crate::material::{Elasticity, Hyperelastic, Law, Mat3, Mat9};
-use faer::linalg::matmul::matmul;
-use faer::{Accum, Mat, MatMut, MatRef, Par};
-use pulp::{Simd, WithSimd};
+use crate::products::{self, Table};
+use faer::{Mat, MatRef};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -15,13 +14,7 @@ use std::sync::Arc;
 const POINTS_PER_TASK: usize = 256;
 
 /// Points whose response ∂P/∂F·G is held at a time: it stays in the processor's cache.
-const POINTS_PER_BLOCK: usize = 64;
-
-/// Columns of the reduced stiffness that one product makes.
-const STRIP: usize = 16;
-
-/// Columns of the basis are worked on so many at a time; tables are padded to a multiple of it.
-const LANES: usize = 8;
+const POINTS_PER_BLOCK: usize = 8;
 
 /// Energy, force and tangent stiffness in reduced coordinates.
 #[derive(Clone, Debug, PartialEq)]
@@ -98,10 +91,10 @@ pub struct Point {
 /// A body in its subspace: small, self-contained, independent of the mesh's size.
 #[derive(Debug)]
 pub struct ReducedModel {
-    points: Vec<Point>,
-    /// ∂(∇u)/∂q at each point: column 9·point + 3·i + j holds ∂(∂u_i/∂X_j)/∂q, padded by zeros to a
-    /// multiple of [`LANES`] rows.
-    gradients: Mat<f64>,
+    /// Of each point, its weight in m³ times as stiff: what it adds is then in J.
+    points: Vec<Elasticity>,
+    /// ∂(∇u)/∂q at each point: column 9·point + 3·i + j holds ∂(∂u_i/∂X_j)/∂q.
+    gradients: Table,
     r: usize,
     stitch_stiffness: Mat<f64>,
     /// Reduced stiffness at rest, stitches included: damping uses it.
@@ -114,12 +107,16 @@ pub struct ReducedModel {
 }
 
 /// [`ReducedModel::gradient_table`] filled point by point.
-pub struct GradientTable(Mat<f64>);
+#[derive(Debug)]
+pub struct GradientTable {
+    table: Table,
+    n_points: usize,
+}
 
 impl ReducedModel {
     /// An empty table for `n_points` points and `r` columns.
     pub fn gradient_table(n_points: usize, r: usize) -> GradientTable {
-        GradientTable(Mat::zeros(r.next_multiple_of(LANES), 9 * n_points))
+        GradientTable { table: Table::zeros(r, 9 * n_points), n_points }
     }
 
     /// `stitch_stiffness` is ŪᵀAAᵀŪ (r×r); `gravity` the load of unit gravity along each axis (r×3);
@@ -134,10 +131,11 @@ impl ReducedModel {
         free: Option<Arc<FreeBody>>,
     ) -> ReducedModel {
         let r = stitch_stiffness.nrows();
-        let GradientTable(gradients) = gradients;
-        assert_eq!(gradients.ncols(), 9 * points.len(), "one table entry a point");
+        let GradientTable { table: gradients, n_points } = gradients;
+        assert_eq!(n_points, points.len(), "one table entry a point");
+        let weighted = |point: &Point| point.elasticity.scaled(point.weight_m3);
         let mut model = ReducedModel {
-            points,
+            points: points.iter().map(weighted).collect(),
             gradients,
             r,
             stitch_stiffness,
@@ -257,13 +255,10 @@ impl ReducedModel {
     /// Energy, force and stiffness at `q` (r numbers) by cubature.
     pub fn evaluate(&self, q: &[f64]) -> Evaluation {
         let sums = self.sums(q, true);
-        let r = self.r;
-        Evaluation {
-            energy_j: sums.energy_j,
-            force: sums.force,
-            // Symmetric: its columns are its rows.
-            stiffness: (0..r).flat_map(|j| sums.stiffness.col_as_slice(j)).copied().collect(),
-        }
+        // Symmetric: its columns are its rows.
+        let mut rows = Vec::with_capacity(self.r * self.r);
+        (0..self.r).for_each(|j| rows.extend_from_slice(sums.stiffness.col_as_slice(j)));
+        Evaluation { energy_j: sums.energy_j, force: sums.force, stiffness: rows }
     }
 
     /// Reduced load of gravity, r numbers.
@@ -276,15 +271,15 @@ impl ReducedModel {
     /// Energy and force, and the stiffness if asked for (otherwise 0×0).
     pub(crate) fn sums(&self, q: &[f64], with_stiffness: bool) -> Sums {
         let r = self.r;
-        let mut padded = vec![0.0; self.gradients.nrows()];
+        let mut padded = vec![0.0; self.gradients.rows()];
         padded[..r].copy_from_slice(q);
-        let task = |(task, points): (usize, &[Point])| {
+        let task = |(task, points): (usize, &[Elasticity])| {
             let first = POINTS_PER_TASK * task;
-            let gradients = self.gradients.subcols(9 * first, 9 * points.len());
+            let gradients = self.gradients.columns(9 * first, 9 * points.len());
             self.partial_sums(points, gradients, &padded, with_stiffness)
         };
         // A simulation's thread need not wait for a pool that may be busy with builds.
-        let parts: Vec<Sums> = if self.points.len() <= POINTS_PER_TASK {
+        let parts: Vec<PartialSums> = if self.points.len() <= POINTS_PER_TASK {
             vec![task((0, &self.points))]
         } else {
             self.points.par_chunks(POINTS_PER_TASK).enumerate().map(task).collect()
@@ -293,85 +288,75 @@ impl ReducedModel {
         let stitch_force = dense::small_product(self.stitch_stiffness.as_ref(), column);
         let mut sums = Sums {
             energy_j: 0.5 * (column.col(0).transpose() * stitch_force.col(0)),
-            force: (0..r).map(|i| stitch_force[(i, 0)]).collect(),
-            stiffness: Mat::zeros(0, 0),
+            force: stitch_force.col_as_slice(0).to_vec(),
+            stiffness: match with_stiffness {
+                true => self.stitch_stiffness.clone(),
+                false => Mat::zeros(0, 0),
+            },
         };
-        if with_stiffness {
-            sums.stiffness = self.stitch_stiffness.clone();
-        }
-        for part in parts {
+        for part in &parts {
             sums.energy_j += part.energy_j;
             sums.force.iter_mut().zip(&part.force).for_each(|(sum, f)| *sum += f);
-            if with_stiffness {
-                sums.stiffness += part.stiffness;
+            for j in 0..sums.stiffness.ncols() {
+                let to = &mut sums.stiffness.col_as_slice_mut(j)[j..];
+                let from = &part.stiffness.columns(j, 1)[j..];
+                to.iter_mut().zip(from).for_each(|(sum, k)| *sum += k);
             }
         }
-        if with_stiffness {
-            for j in 0..r {
-                for i in 0..j {
-                    sums.stiffness[(i, j)] = sums.stiffness[(j, i)];
-                }
+        for j in 0..sums.stiffness.ncols() {
+            for i in 0..j {
+                sums.stiffness[(i, j)] = sums.stiffness[(j, i)];
             }
         }
         sums
     }
 
-    /// Σ w V Ψ, Σ w V GᵀP and (the lower triangle of) Σ w V Gᵀ(∂P/∂F)G over `points`, whose G are in `gradients`.
+    /// Σ w V Ψ, Σ w V GᵀP and (the lower triangle of) Σ w V Gᵀ(∂P/∂F)G over `points`, whose columns G `gradients`
+    /// are; padded as these are.
     fn partial_sums(
         &self,
-        points: &[Point],
-        gradients: MatRef<'_, f64>,
+        points: &[Elasticity],
+        gradients: &[f64],
         q: &[f64],
         with_stiffness: bool,
-    ) -> Sums {
-        let r = self.r;
-        let mut sums = Sums {
+    ) -> PartialSums {
+        let rows = q.len();
+        let mut sums = PartialSums {
             energy_j: 0.0,
-            force: vec![0.0; q.len()],
-            stiffness: if with_stiffness { Mat::zeros(r, r) } else { Mat::zeros(0, 0) },
+            force: vec![0.0; rows],
+            stiffness: Table::zeros(rows, if with_stiffness { rows } else { 0 }),
         };
-        let n_block = POINTS_PER_BLOCK.min(points.len());
-        let n_response = if with_stiffness { 9 * n_block } else { 0 };
-        let mut response = Mat::<f64>::zeros(q.len(), n_response);
-        for (block, points) in points.chunks(POINTS_PER_BLOCK).enumerate() {
-            let gradients = gradients.subcols(9 * POINTS_PER_BLOCK * block, 9 * points.len());
+        let n_response = if with_stiffness { 9 * POINTS_PER_BLOCK } else { 0 };
+        let mut response = Table::zeros(rows, n_response);
+        let mut strains = [[0.0; 9]; POINTS_PER_BLOCK];
+        let mut stresses = [[0.0; 9]; POINTS_PER_BLOCK];
+        let mut derivatives: [Mat9; POINTS_PER_BLOCK] = [[[0.0; 9]; 9]; POINTS_PER_BLOCK];
+        let blocks = gradients.chunks(9 * rows * POINTS_PER_BLOCK);
+        for (points, gradients) in points.chunks(POINTS_PER_BLOCK).zip(blocks) {
+            let count = points.len();
+            products::transposed_products(gradients, q, &mut strains[..count]);
             for (p, point) in points.iter().enumerate() {
-                let g: [&[f64]; 9] = std::array::from_fn(|k| column_of(gradients, 9 * p + k));
-                let d = vectorized(
-                    #[inline(always)]
-                    || g.map(|g| inner(g, q)),
-                );
-                let d = Mat3::from_fn(|i, j| d[3 * i + j]);
-                let (energy, stress, derivative) = point.elasticity.at(&d, with_stiffness);
-                sums.energy_j += point.weight_m3 * energy;
-                let stress = stress * point.weight_m3;
-                let stress: [f64; 9] = std::array::from_fn(|k| stress[(k / 3, k % 3)]);
-                vectorized(
-                    #[inline(always)]
-                    || combine(&mut sums.force, &g, &stress),
-                );
-                if let Some(mut c) = derivative {
-                    c.iter_mut().flatten().for_each(|c| *c *= point.weight_m3);
-                    respond(&mut response, 9 * p, &g, &c);
-                }
+                let d = Mat3::from_row_slice(&strains[p]);
+                let derivative = with_stiffness.then_some(&mut derivatives[p]);
+                let (energy, stress) = point.at(&d, derivative);
+                sums.energy_j += energy;
+                stresses[p] = std::array::from_fn(|k| stress[(k / 3, k % 3)]);
             }
+            products::add_products(&mut sums.force, gradients, &stresses[..count]);
             if with_stiffness {
-                let response = response.subcols(0, 9 * points.len());
-                add_symmetric_product(
-                    sums.stiffness.as_mut(),
-                    gradients.subrows(0, r),
-                    response.subrows(0, r),
-                );
+                let response = response.columns_mut(0, 9 * count);
+                products::responses(response, rows, gradients, &derivatives[..count]);
+                let stiffness = sums.stiffness.columns_mut(0, rows);
+                products::add_lower_product(stiffness, rows, gradients, response);
             }
         }
-        sums.force.truncate(r);
         sums
     }
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         let of = |m: &Mat<f64>| m.nrows() * m.ncols() * size_of::<f64>();
-        of(&self.gradients)
+        self.gradients.bytes()
             + 2 * of(&self.rest_stiffness)
             + self.free.as_ref().map_or(0, |free| free.bytes())
     }
@@ -381,7 +366,7 @@ impl GradientTable {
     /// Sets `point` from the gradients of its four shape functions (1/m) and the basis rows at its corners
     /// (12×r, corner-major).
     pub fn set(&mut self, point: usize, shape: &[[f64; 3]; 4], rows: MatRef<'_, f64>) {
-        set_gradients(self.0.as_mut().subcols_mut(9 * point, 9), shape, rows);
+        set_gradients(self.table.columns_mut(9 * point, 9), shape, rows);
     }
 
     /// Sets all points, `per_task` of them at a time and in parallel: `of(first, count)` gives their
@@ -391,129 +376,38 @@ impl GradientTable {
         per_task: usize,
         of: impl Fn(usize, usize) -> (Vec<[[f64; 3]; 4]>, Mat<f64>) + Sync,
     ) {
-        let parts = self.0.as_mut().par_col_chunks_mut(9 * per_task).enumerate();
-        parts.for_each(|(task, mut part)| {
-            let count = part.ncols() / 9;
+        let (n_rows, n_columns) = (self.table.rows(), 9 * self.n_points);
+        let parts = self.table.columns_mut(0, n_columns).par_chunks_mut(9 * n_rows * per_task);
+        parts.enumerate().for_each(|(task, part)| {
+            let count = part.len() / (9 * n_rows);
             let (shapes, rows) = of(task * per_task, count);
-            for (p, shape) in shapes.iter().enumerate().take(count) {
-                let rows = rows.subrows(12 * p, 12);
-                set_gradients(part.as_mut().subcols_mut(9 * p, 9), shape, rows);
+            for (p, (part, shape)) in part.chunks_exact_mut(9 * n_rows).zip(&shapes).enumerate() {
+                set_gradients(part, shape, rows.subrows(12 * p, 12));
             }
         });
     }
 }
 
-fn set_gradients(mut to: faer::MatMut<'_, f64>, shape: &[[f64; 3]; 4], rows: MatRef<'_, f64>) {
-    for column in 0..rows.ncols() {
-        for i in 0..3 {
-            for j in 0..3 {
-                to[(column, 3 * i + j)] =
-                    (0..4).map(|corner| rows[(3 * corner + i, column)] * shape[corner][j]).sum();
-            }
+/// Fills the nine columns of a point.
+fn set_gradients(to: &mut [f64], shape: &[[f64; 3]; 4], rows: MatRef<'_, f64>) {
+    let n_rows = to.len() / 9;
+    for (k, to) in to.chunks_exact_mut(n_rows).enumerate() {
+        let (i, j) = (k / 3, k % 3);
+        for (column, to) in to.iter_mut().enumerate().take(rows.ncols()) {
+            *to = (0..4).map(|corner| rows[(3 * corner + i, column)] * shape[corner][j]).sum();
         }
     }
 }
 
-/// The lower triangle of A += XYᵀ (r×k each), strip by strip of columns. An evaluation at 60 columns and 120
-/// points took 117 µs, against 137 µs with a recursive product of triangular structure.
-fn add_symmetric_product(mut a: MatMut<'_, f64>, x: MatRef<'_, f64>, y: MatRef<'_, f64>) {
-    let r = a.nrows();
-    for first in (0..r).step_by(STRIP) {
-        let columns = STRIP.min(r - first);
-        let to = a.as_mut().submatrix_mut(first, first, r - first, columns);
-        let (x, y) = (x.subrows(first, r - first), y.subrows(first, columns));
-        matmul(to, Accum::Add, x, y.transpose(), 1.0, Par::Seq);
-    }
-}
-
-/// C·G of one point, into nine columns from `first` on.
-fn respond(response: &mut Mat<f64>, first: usize, g: &[&[f64]; 9], c: &Mat9) {
-    let rows = response.nrows();
-    let mut out = response.as_mut().subcols_mut(first, 9);
-    let mut columns: [&mut [f64]; 9] = std::array::from_fn(|_| &mut [][..]);
-    for (to, column) in columns.iter_mut().zip(out.as_mut().col_iter_mut()) {
-        if let Some(column) = column.try_as_col_major_mut() {
-            *to = column.as_slice_mut();
-        }
-    }
-    pulp::Arch::new().dispatch(Response { rows, g, c, columns: &mut columns });
-}
-
-struct Response<'a, 'b> {
-    rows: usize,
-    g: &'a [&'a [f64]; 9],
-    c: &'a Mat9,
-    columns: &'a mut [&'b mut [f64]; 9],
-}
-
-impl WithSimd for Response<'_, '_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Response { rows, g, c, columns } = self;
-        for part in 0..rows / S::F64_LANES {
-            let mut x = [simd.splat_f64s(0.0); 9];
-            for k in 0..9 {
-                x[k] = S::as_simd_f64s(g[k]).0[part];
-            }
-            for i in 0..9 {
-                let mut sum = simd.mul_f64s(simd.splat_f64s(c[i][0]), x[0]);
-                for k in 1..9 {
-                    sum = simd.mul_add_f64s(simd.splat_f64s(c[i][k]), x[k], sum);
-                }
-                S::as_mut_simd_f64s(columns[i]).0[part] = sum;
-            }
-        }
-    }
+/// What some of the points add, padded.
+struct PartialSums {
+    energy_j: f64,
+    force: Vec<f64>,
+    stiffness: Table,
 }
 
 pub(crate) struct Sums {
     pub(crate) energy_j: f64,
     pub(crate) force: Vec<f64>,
     pub(crate) stiffness: Mat<f64>,
-}
-
-#[inline(always)]
-fn column_of(m: MatRef<'_, f64>, j: usize) -> &[f64] {
-    m.col(j).try_as_col_major().map_or(&[], |column| column.as_slice())
-}
-
-#[inline(always)]
-fn lanes(x: &[f64]) -> [f64; LANES] {
-    let mut lanes = [0.0; LANES];
-    lanes.copy_from_slice(&x[..LANES]);
-    lanes
-}
-
-/// xᵀy of slices whose length is a multiple of [`LANES`].
-#[inline(always)]
-fn inner(x: &[f64], y: &[f64]) -> f64 {
-    let mut sum = [0.0; LANES];
-    for (x, y) in x.chunks_exact(LANES).zip(y.chunks_exact(LANES)) {
-        for lane in 0..LANES {
-            sum[lane] += x[lane] * y[lane];
-        }
-    }
-    sum.iter().sum()
-}
-
-/// y += Σ s_k x_k.
-#[inline(always)]
-fn combine(y: &mut [f64], x: &[&[f64]; 9], s: &[f64; 9]) {
-    for (block, y) in y.chunks_exact_mut(LANES).enumerate() {
-        let sum = combined(lanes(y), block, x, s);
-        y.copy_from_slice(&sum);
-    }
-}
-
-#[inline(always)]
-fn combined(mut sum: [f64; LANES], block: usize, x: &[&[f64]; 9], s: &[f64; 9]) -> [f64; LANES] {
-    for k in 0..9 {
-        let x = lanes(&x[k][LANES * block..]);
-        for lane in 0..LANES {
-            sum[lane] += s[k] * x[lane];
-        }
-    }
-    sum
 }

@@ -114,10 +114,12 @@ impl Hyperelastic for Corotational {
     }
 
     /// One polar decomposition for all: it is most of the work.
-    fn at(&self, d: &Mat3, with_derivative: bool) -> (f64, Mat3, Option<Mat9>) {
+    fn at(&self, d: &Mat3, derivative: Option<&mut Mat9>) -> (f64, Mat3) {
         let polar = Polar::new(d);
-        let derivative = with_derivative.then(|| self.stress_derivative_of(&polar));
-        (self.energy_density_of(&polar), self.stress_of(&polar), derivative)
+        if let Some(derivative) = derivative {
+            *derivative = self.stress_derivative_of(&polar);
+        }
+        (self.energy_density_of(&polar), self.stress_of(&polar))
     }
 
     /// S = √(I + 2E) = I + E − E²/2 + …

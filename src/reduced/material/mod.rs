@@ -44,10 +44,13 @@ pub trait Hyperelastic {
     /// ∂P/∂F in Pa.
     fn stress_derivative(&self, d: &Mat3) -> Mat9;
 
-    /// Energy density, stress and, if asked for, its derivative: one call where they have work in common.
-    fn at(&self, d: &Mat3, with_derivative: bool) -> (f64, Mat3, Option<Mat9>) {
-        let derivative = with_derivative.then(|| self.stress_derivative(d));
-        (self.energy_density(d), self.stress(d), derivative)
+    /// Energy density and stress, and its derivative into `derivative`, if given: one call where they have work in
+    /// common.
+    fn at(&self, d: &Mat3, derivative: Option<&mut Mat9>) -> (f64, Mat3) {
+        if let Some(derivative) = derivative {
+            *derivative = self.stress_derivative(d);
+        }
+        (self.energy_density(d), self.stress(d))
     }
 
     /// The first and second derivative of P at rest.
@@ -101,6 +104,11 @@ impl Elasticity {
         Elasticity { law: Law::StVenantKirchhoff, lame, mooney_ratio: 0.0 }
     }
 
+    /// The same law, `factor` times as stiff: energies are linear in the constants.
+    pub(crate) fn scaled(&self, factor: f64) -> Elasticity {
+        Elasticity { lame: self.lame.map(|x| x * factor), ..*self }
+    }
+
     /// Calls `f` with the law itself.
     #[inline(always)]
     fn with<R>(&self, f: impl FnOnce(&dyn Hyperelastic) -> R) -> R {
@@ -125,8 +133,8 @@ impl Hyperelastic for Elasticity {
     fn stress_derivative(&self, d: &Mat3) -> Mat9 {
         self.with(|law| law.stress_derivative(d))
     }
-    fn at(&self, d: &Mat3, with_derivative: bool) -> (f64, Mat3, Option<Mat9>) {
-        self.with(|law| law.at(d, with_derivative))
+    fn at(&self, d: &Mat3, derivative: Option<&mut Mat9>) -> (f64, Mat3) {
+        self.with(|law| law.at(d, derivative))
     }
     fn at_rest(&self) -> AtRest {
         self.with(|law| law.at_rest())

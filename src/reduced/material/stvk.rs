@@ -19,31 +19,25 @@ pub struct StVenantKirchhoff {
     pub lame: [f64; 2],
 }
 
-impl Hyperelastic for StVenantKirchhoff {
-    fn energy_density(&self, d: &Mat3) -> f64 {
+impl StVenantKirchhoff {
+    #[inline(always)]
+    fn energy_density_of(&self, e: &Mat3) -> f64 {
         let [lame_lambda, lame_mu] = self.lame;
-        let e = green_strain(d);
         0.5 * lame_lambda * e.trace().powi(2) + lame_mu * e.norm_squared()
     }
 
-    /// P = F S(E).
-    fn stress(&self, d: &Mat3) -> Mat3 {
-        let s = second_stress(&green_strain(d), self.lame);
-        s + d * s
-    }
-
-    fn stress_derivative(&self, d: &Mat3) -> Mat9 {
-        // dP = dF S + F (λ tr(dE) I + 2μ dE) with dE = sym(FᵀdF):
-        // ∂P_ij/∂F_kl = λ F_ij F_kl + μ F_il F_kj + μ δ_jl (FFᵀ)_ik + δ_ik S_lj.
+    /// dP = dF S + F (λ tr(dE) I + 2μ dE) with dE = sym(FᵀdF):
+    /// ∂P_ij/∂F_kl = λ F_ij F_kl + μ F_il F_kj + μ δ_jl (FFᵀ)_ik + δ_ik S_lj.
+    #[inline(always)]
+    fn set_derivative(&self, to: &mut Mat9, d: &Mat3, s: &Mat3) {
         let [lame_lambda, lame_mu] = self.lame;
         let f = d + Mat3::identity();
-        let s: [[f64; 3]; 3] = second_stress(&green_strain(d), self.lame).into();
         let left: [[f64; 3]; 3] = (f * f.transpose() * lame_mu).into();
+        let s: [[f64; 3]; 3] = (*s).into();
         let f: [[f64; 3]; 3] = f.transpose().into();
-        let mut out = [[0.0; 9]; 9];
         for i in 0..3 {
             for j in 0..3 {
-                let row = &mut out[3 * i + j];
+                let row = &mut to[3 * i + j];
                 for k in 0..3 {
                     for l in 0..3 {
                         row[3 * k + l] =
@@ -56,7 +50,33 @@ impl Hyperelastic for StVenantKirchhoff {
                 }
             }
         }
+    }
+}
+
+impl Hyperelastic for StVenantKirchhoff {
+    fn energy_density(&self, d: &Mat3) -> f64 {
+        self.energy_density_of(&green_strain(d))
+    }
+
+    /// P = F S(E).
+    fn stress(&self, d: &Mat3) -> Mat3 {
+        let s = second_stress(&green_strain(d), self.lame);
+        s + d * s
+    }
+
+    fn stress_derivative(&self, d: &Mat3) -> Mat9 {
+        let mut out = [[0.0; 9]; 9];
+        self.set_derivative(&mut out, d, &second_stress(&green_strain(d), self.lame));
         out
+    }
+
+    fn at(&self, d: &Mat3, derivative: Option<&mut Mat9>) -> (f64, Mat3) {
+        let e = green_strain(d);
+        let s = second_stress(&e, self.lame);
+        if let Some(derivative) = derivative {
+            self.set_derivative(derivative, d, &s);
+        }
+        (self.energy_density_of(&e), s + d * s)
     }
 
     fn at_rest(&self) -> AtRest {
