@@ -1,7 +1,7 @@
 //! Forces at single points of the body: pulling springs, and contact with obstacles.
 
 use crate::contact::{Contact, ContactSurface, LocalObstacle, Obstacle};
-use crate::frame::Frame;
+use crate::frame::{Frame, FreeBody, Motion};
 use crate::material::Mat3;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
@@ -62,6 +62,13 @@ impl Placement {
         }
     }
 
+    /// Of a body that nothing holds, at ω in its frame.
+    pub(crate) fn free(body: &FreeBody, motion: &Motion, omega: Vector3<f64>) -> Placement {
+        let Motion { frame, .. } = *motion;
+        let velocity = frame.rotation.inverse() * motion.velocity(body);
+        Placement { frame, origin: body.center_m(), velocity, omega }
+    }
+
     /// The frame moved on by `shift` and turned by `turn` (in its own axes), where its velocities grow with
     /// both at `rate`.
     pub(crate) fn corrected(
@@ -98,6 +105,8 @@ pub(crate) struct Interactions<'a> {
     /// None without a surface.
     pub(crate) obstacles: &'a [Obstacle],
     pub(crate) contact: Option<(&'a ContactSurface, Contact)>,
+    /// How many times contact counts in the derivative (see [`crate::step::Scheme::ends`]).
+    pub(crate) contact_weight: f64,
 }
 
 /// What acts at one point: the force, and its negative derivatives by position and velocity, in the body's frame.
@@ -108,15 +117,27 @@ pub(crate) struct PointForce {
     pub(crate) damping: Mat3,
 }
 
-/// The sum of all, and its derivative.
-pub(crate) struct Pull {
+/// Force and torque about the frame's origin, in the body's frame.
+pub(crate) type Wrench = [Vector3<f64>; 2];
+
+/// What all grabs do, or all obstacles.
+#[derive(Clone, Debug)]
+pub(crate) struct Effect {
     /// Reduced force (r numbers).
     pub(crate) force: Vec<f64>,
-    /// Minus the derivative of force and total by q and by the frame's shift and turn (r×r or (r + 6)×(r + 6)), if
-    /// asked for.
+    /// What pulls at the frame.
+    pub(crate) total: Wrench,
+}
+
+/// The sum of all, and its derivative.
+pub(crate) struct Pull {
+    pub(crate) grabs: Effect,
+    pub(crate) contact: Effect,
+    /// Minus the derivative of grabs and (as many times as it counts) contact, by q and by the frame's shift and turn
+    /// (r×r or (r + 6)×(r + 6)), if asked for.
     pub(crate) stiffness: Option<Mat<f64>>,
-    /// Force and torque about the frame's origin, in the body's frame.
-    pub(crate) total: [Vector3<f64>; 2],
+    /// Whether that derivative may be unsymmetric: friction, or damping in a frame that turns.
+    pub(crate) is_unsymmetric: bool,
 }
 
 /// The derivative that is asked for.
@@ -128,12 +149,17 @@ pub(crate) struct Derivative {
     pub(crate) of_frame: bool,
 }
 
+impl Effect {
+    /// Of nothing.
+    pub(crate) fn none(r: usize) -> Effect {
+        Effect { force: vec![0.0; r], total: [Vector3::zeros(); 2] }
+    }
+}
+
 impl Interactions<'_> {
-    /// Whether forces may have an unsymmetric derivative: friction, or damping in a frame that turns.
-    pub(crate) fn are_unsymmetric(&self, placement: &Placement) -> bool {
-        let have_friction =
-            self.contact.as_ref().is_some_and(|(_, contact)| contact.friction > 0.0);
-        have_friction || placement.omega != Vector3::zeros()
+    /// Grabs alone.
+    pub(crate) fn without_contact(self) -> Self {
+        Interactions { obstacles: &[], contact: None, ..self }
     }
 
     pub(crate) fn are_none(&self) -> bool {
@@ -151,9 +177,10 @@ impl Interactions<'_> {
         let r = q.len();
         let n = r + if derivative.is_some_and(|derivative| derivative.of_frame) { 6 } else { 0 };
         let mut pull = Pull {
-            force: vec![0.0; r],
+            grabs: Effect::none(r),
+            contact: Effect::none(r),
             stiffness: None,
-            total: [Vector3::zeros(), Vector3::zeros()],
+            is_unsymmetric: placement.omega != Vector3::zeros(),
         };
         // Rows of all points one below the other, and stiffness times rows.
         let mut rows: Vec<f64> = Vec::new();
@@ -161,10 +188,14 @@ impl Interactions<'_> {
         let Placement { origin, velocity: frame_velocity, omega, .. } = *placement;
         // What moves on in a frame that turns is faster there.
         let turning = omega.cross_matrix();
-        let mut add = |y: Vector3<f64>, row: &dyn Fn(usize, usize) -> f64, at: PointForce| {
-            pull.total[0] += at.force;
-            pull.total[1] += y.cross(&at.force);
-            for (i, f) in pull.force.iter_mut().enumerate() {
+        let mut add = |to: &mut Effect,
+                       weight: f64,
+                       y: Vector3<f64>,
+                       row: &dyn Fn(usize, usize) -> f64,
+                       at: PointForce| {
+            to.total[0] += at.force;
+            to.total[1] += y.cross(&at.force);
+            for (i, f) in to.force.iter_mut().enumerate() {
                 *f += (0..3).map(|axis| row(axis, i) * at.force[axis]).sum::<f64>();
             }
             if let Some(Derivative { rate, .. }) = derivative {
@@ -177,7 +208,7 @@ impl Interactions<'_> {
                     Some(i) => lever[(axis, i - 3)],
                 };
                 for axis in 0..3 {
-                    rows.extend((0..n).map(|i| row(axis, i)));
+                    rows.extend((0..n).map(|i| row(axis, i) * weight));
                     let entry = |i| (0..3).map(|b| k[(axis, b)] * row(b, i)).sum::<f64>();
                     responses.extend((0..n).map(entry));
                 }
@@ -193,7 +224,7 @@ impl Interactions<'_> {
                 stiffness: Mat3::identity() * grab.stiffness_n_m,
                 damping: Mat3::identity() * grab.damping_n_s_m,
             };
-            add(y, &|axis, i| grab.vertex.rows[i][axis], at);
+            add(&mut pull.grabs, 1.0, y, &|axis, i| grab.vertex.rows[i][axis], at);
         }
         if let Some((surface, contact)) = &self.contact {
             let obstacles: Vec<LocalObstacle> =
@@ -201,7 +232,9 @@ impl Interactions<'_> {
             surface.touch(&obstacles, placement, q, velocity, |vertex, y, touch| {
                 let at = contact.force(&touch, surface.area_m2(vertex));
                 let of_vertex = surface.rows(vertex);
-                add(y, &|axis, i| f64::from(of_vertex[axis * r + i]), at);
+                let row = |axis: usize, i: usize| f64::from(of_vertex[axis * r + i]);
+                add(&mut pull.contact, self.contact_weight, y, &row, at);
+                pull.is_unsymmetric |= contact.friction > 0.0;
             });
         }
         if derivative.is_some() {

@@ -10,6 +10,7 @@
 pub mod contact;
 pub mod dense;
 mod frame;
+mod free;
 mod interaction;
 pub mod material;
 mod modal;

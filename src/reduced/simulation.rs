@@ -4,8 +4,9 @@
 use crate::ReducedModel;
 use crate::contact::{Contact, ContactSurface, Obstacle};
 use crate::dense::DenseError;
-use crate::frame::{Frame, FreeBody, Motion, inertial_load};
-use crate::interaction::{Grab, Interactions, Placement, VertexRows};
+use crate::frame::{Frame, Motion};
+use crate::free::{Load, add_vertex_loads};
+use crate::interaction::{Effect, Grab, Interactions, Placement, Pull, VertexRows};
 use crate::modal::Oscillators;
 use crate::step::{RigidPart, Scheme, State, Step, Stepped};
 use crate::substeps::Division;
@@ -16,7 +17,8 @@ use std::sync::Arc;
 /// How the reduced equations of motion are integrated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Integrator {
-    /// Newmark with β = 1/4, γ = 1/2 (average acceleration): second order, keeps energy.
+    /// Newmark with β = 1/4, γ = 1/2 (average acceleration): second order, keeps energy. Contact acts as at the end of
+    /// each step: to first order, and never gives energy back that it has not taken.
     ImplicitNewmark,
     /// Backward Euler: first order, calms fast motion.
     BackwardEuler,
@@ -122,19 +124,15 @@ pub struct Simulation {
 
 /// What a substep ends with.
 #[derive(Clone)]
-struct Advanced {
-    deformation: State,
+pub(crate) struct Advanced {
+    pub(crate) deformation: State,
     /// Of a free body.
-    motion: Option<Motion>,
+    pub(crate) motion: Option<Motion>,
     /// Of grabs and obstacles, in the world.
-    force_n: Vector3<f64>,
+    pub(crate) force_n: Vector3<f64>,
     /// Estimate of the relative error that the substep added to the deformation.
-    error: f64,
+    pub(crate) error: f64,
 }
-
-/// Passes over a step of a free body: the first with the frame's motion before it, the second with the mean of
-/// before and after (or with what is after, for backward Euler).
-const FRAME_PASSES: usize = 2;
 
 impl Simulation {
     /// At rest at q = 0.
@@ -210,6 +208,7 @@ impl Simulation {
     fn rest(&mut self) {
         self.state.velocity.fill(0.0);
         self.state.acceleration.fill(0.0);
+        self.state.contact.fill(0.0);
         if let Some(motion) = &mut self.motion {
             *motion = Motion {
                 frame: motion.frame,
@@ -230,136 +229,32 @@ impl Simulation {
         n_newton: &mut u32,
     ) -> Option<Advanced> {
         let state = &start.deformation;
-        let Some((motion, body)) = start.motion.as_ref().zip(self.model.free_body()) else {
-            let placement = Placement::fixed();
-            let mut load = self.model.gravity_load(self.params.gravity_m_s2);
-            load.iter_mut().zip(force).for_each(|(load, f)| *load += f);
-            add_vertex_loads(&mut load, at_vertices, &placement, 1.0);
-            let next = self.solve(state, &load, placement, None, dt, n_newton)?;
-            return Some(Advanced {
-                deformation: next.state,
-                motion: None,
-                force_n: next.total[0],
-                error: next.error,
-            });
-        };
-        let omega = motion.angular_velocity(body, &state.q, &state.velocity)?;
-        let mut pass = Pass {
-            omega: [omega, omega],
-            angular_acceleration: motion.angular_acceleration,
-            q: state.q.clone(),
-            velocity: state.velocity.clone(),
-            pull: [Vector3::zeros(); 2],
-        };
-        let mut found = None;
-        for _ in 0..FRAME_PASSES {
+        if let Some((motion, body)) = start.motion.as_ref().zip(self.model.free_body()) {
             let load = Load { force, at_vertices };
-            let (Stepped { state: next, error, .. }, moved, pull) =
-                self.pass(state, motion, body, &pass, load, dt, n_newton)?;
-            let after = moved.angular_velocity(body, &next.q, &next.velocity)?;
-            // What the frame moves with.
-            let share = if self.takes_means() { 0.5 } else { 1.0 };
-            let between = |a: &[f64], b: &[f64]| -> Vec<f64> {
-                a.iter().zip(b).map(|(a, b)| a + share * (b - a)).collect()
-            };
-            pass = Pass {
-                omega: [omega + (after - omega) * share, after],
-                angular_acceleration: (after - omega) / dt,
-                q: between(&state.q, &next.q),
-                velocity: between(&state.velocity, &next.velocity),
-                pull,
-            };
-            let angular_acceleration = pass.angular_acceleration;
-            found = Some(Advanced {
-                deformation: next,
-                motion: Some(Motion { angular_acceleration, ..moved }),
-                force_n: pull[0],
-                error,
-            });
+            return self.advance_free(state, motion, body, load, dt, n_newton);
         }
-        found
+        let placement = Placement::fixed();
+        let mut load = self.model.gravity_load(self.params.gravity_m_s2);
+        load.iter_mut().zip(force).for_each(|(load, f)| *load += f);
+        add_vertex_loads(&mut load, at_vertices, &placement, 1.0);
+        let grabbed = self.grabs_at(&placement, state).force;
+        let next = self.solve(state, &load, &grabbed, placement, None, dt, n_newton)?;
+        Some(Advanced {
+            deformation: next.state,
+            motion: None,
+            force_n: next.grabs[0] + next.contact[0],
+            error: next.error,
+        })
     }
 
-    /// Whether what acts on a free body acts as its mean over the step, and not as at its end.
-    fn takes_means(&self) -> bool {
-        self.params.integrator != Integrator::BackwardEuler
-    }
-
-    /// A substep of a free body, its frame being expected to move as `pass` says; the deformation and the motion that
-    /// it comes to, and what pulls at it (force and torque in the world).
-    #[allow(clippy::too_many_arguments)] // one call, from `advance`
-    fn pass(
-        &self,
-        state: &State,
-        motion: &Motion,
-        body: &FreeBody,
-        pass: &Pass,
-        load: Load<'_>,
-        dt: f64,
-        n_newton: &mut u32,
-    ) -> Option<(Stepped, Motion, [Vector3<f64>; 2])> {
-        let scheme = self.scheme().unwrap_or(Scheme::Newmark);
-        let [rate, _] = scheme.rates(dt);
-        let place = |q: &[f64], vertex: &VertexRows| {
-            Vector3::from(vertex.rest_m) - body.center_m() + vertex.times(q)
-        };
-        // Known: gravity, forces at vertices, and what pulled in the pass before.
-        let gravity = Vector3::from(self.params.gravity_m_s2) * body.mass_kg();
-        let given = load.at_vertices.iter().map(|(_, f)| Vector3::from(*f)).sum::<Vector3<f64>>();
-        let known = gravity + given + pass.pull[0];
-        let mut frame = motion.moved(body, &pass.omega[0], dt);
-        frame.position_m += known / (body.mass_kg() * rate / dt);
-        let velocity = motion.velocity(body) + known * (dt / body.mass_kg());
-        let into = frame.rotation.inverse();
-        let placement = Placement {
-            frame,
-            origin: body.center_m(),
-            velocity: into * velocity,
-            omega: pass.omega[1],
-        };
-        let inertial = inertial_load(
-            body,
-            &pass.q,
-            &pass.velocity,
-            &pass.omega[0],
-            &pass.angular_acceleration,
-        );
-        let mut reduced: Vec<f64> = inertial.iter().map(|inertial| -inertial).collect();
-        reduced.iter_mut().zip(load.force).for_each(|(load, f)| *load += f);
-        // What forces at vertices do at the ends of the step.
-        let first = match self.takes_means() {
-            true => Placement { frame: motion.frame, ..placement },
-            false => placement,
-        };
-        for end in [&first, &placement] {
-            add_vertex_loads(&mut reduced, load.at_vertices, end, 0.5);
-        }
-        let rigid = RigidPart {
-            mass_kg: body.mass_kg(),
-            inertia: body.inertia(&pass.q),
-            expected: pass.pull.map(|pull| into * pull),
-        };
-        let next = self.solve(state, &reduced, placement, Some(rigid), dt, n_newton)?;
-
-        let frame = next.placement.frame;
-        let first_q = if self.takes_means() { &state.q } else { &next.state.q };
-        let pull = next.total.map(|total| frame.rotation * total);
-        let mut torque = pull[1];
-        for (vertex, f) in load.at_vertices {
-            for (rotation, q) in [(first.frame.rotation, first_q), (frame.rotation, &next.state.q)]
-            {
-                torque += (rotation * place(q, vertex)).cross(&Vector3::from(*f)) * 0.5;
-            }
-        }
-        let momentum = motion.momentum + (pull[0] + given + gravity) * dt;
-        let angular_momentum = motion.angular_momentum + torque * dt;
-        let finite = momentum.iter().chain(&angular_momentum).all(|x| x.is_finite());
-        let moved = Motion { frame, momentum, angular_momentum, ..*motion };
-        finite.then_some((next, moved, pull))
+    /// What grabs pull with at `state` of the placed body.
+    pub(crate) fn grabs_at(&self, placement: &Placement, state: &State) -> Effect {
+        let grabs = self.interactions().without_contact();
+        grabs.pull(placement, &state.q, &state.velocity, None).grabs
     }
 
     /// The scheme of implicit steps; none of exact oscillators.
-    fn scheme(&self) -> Option<Scheme> {
+    pub(crate) fn scheme(&self) -> Option<Scheme> {
         match self.params.integrator {
             Integrator::ImplicitNewmark => Some(Scheme::Newmark),
             Integrator::BackwardEuler => Some(Scheme::BackwardEuler),
@@ -368,11 +263,14 @@ impl Simulation {
         }
     }
 
-    /// The deformation after a substep under `load`, and where the frame comes to be.
-    fn solve(
+    /// The deformation after a substep under `load`, and where the frame comes to be; `grabbed` is the reduced force
+    /// of the grabs at its beginning.
+    #[allow(clippy::too_many_arguments)] // one for each thing that a step depends on
+    pub(crate) fn solve(
         &self,
         state: &State,
         load: &[f64],
+        grabbed: &[f64],
         placement: Placement,
         rigid: Option<RigidPart>,
         dt: f64,
@@ -380,25 +278,24 @@ impl Simulation {
     ) -> Option<Stepped> {
         let interactions = self.interactions();
         let Some(scheme) = self.scheme() else {
-            let mut pulled = load.to_vec();
-            let mut total = [Vector3::zeros(); 2];
-            if !interactions.are_none() {
-                let pull = interactions.pull(&placement, &state.q, &state.velocity, None);
-                pulled.iter_mut().zip(pull.force).for_each(|(load, f)| *load += f);
-                total = pull.total;
-            }
+            let Pull { grabs, contact, .. } =
+                interactions.pull(&placement, &state.q, &state.velocity, None);
+            let forces = load.iter().zip(&grabs.force).zip(&contact.force);
+            let pulled: Vec<f64> = forces.map(|((load, a), b)| load + a + b).collect();
             let oscillators = self.oscillators.as_ref()?;
             let [q, velocity] =
                 oscillators.advance(&self.model, &state.q, &state.velocity, &pulled, dt);
-            let acceleration = vec![0.0; q.len()];
-            let state = State { q, velocity, acceleration, load: load.to_vec() };
-            return state.is_finite().then_some(Stepped { state, placement, total, error: 0.0 });
+            let state = State { q, velocity, load: pulled, ..State::at_rest(load.len()) };
+            let (grabs, contact) = (grabs.total, contact.total);
+            let next = Stepped { state, placement, grabs, contact, error: 0.0 };
+            return next.state.is_finite().then_some(next);
         };
         let step = Step {
             model: &self.model,
             damping: &self.damping,
             scheme,
             load,
+            grabbed,
             interactions: &interactions,
             placement,
             rigid: rigid.filter(|_| !interactions.are_none()),
@@ -407,7 +304,7 @@ impl Simulation {
         step.from(state, n_newton).filter(|next| next.state.is_finite())
     }
 
-    fn interactions(&self) -> Interactions<'_> {
+    pub(crate) fn interactions(&self) -> Interactions<'_> {
         let environment = self.environment.as_deref();
         let contact = environment.zip(self.surface.as_deref()).filter(|(environment, surface)| {
             !environment.obstacles.is_empty() && surface.r() == self.model.r()
@@ -416,6 +313,7 @@ impl Simulation {
             grabs: &self.grabs,
             obstacles: contact.map_or(&[], |(environment, _)| &environment.obstacles),
             contact: contact.map(|(environment, surface)| (surface, environment.contact)),
+            contact_weight: self.scheme().map_or(1.0, Scheme::ends),
         }
     }
 
@@ -472,6 +370,7 @@ impl Simulation {
             velocity: carry(&self.state.velocity),
             acceleration: carry(&self.state.acceleration),
             load: carry(&self.state.load),
+            contact: carry(&self.state.contact),
         };
         self.motion = fresh.map(|fresh| self.motion.unwrap_or(fresh));
         self.damping = model.damping_matrix();
@@ -520,14 +419,11 @@ impl Simulation {
     fn placement(&self) -> Placement {
         match self.motion.as_ref().zip(self.model.free_body()) {
             None => Placement::fixed(),
-            Some((motion, body)) => Placement {
-                frame: motion.frame,
-                origin: body.center_m(),
-                velocity: motion.frame.rotation.inverse() * motion.velocity(body),
-                omega: motion
-                    .angular_velocity(body, &self.state.q, &self.state.velocity)
-                    .unwrap_or_default(),
-            },
+            Some((motion, body)) => {
+                let (q, velocity) = (&self.state.q, &self.state.velocity);
+                let omega = motion.angular_velocity(body, q, velocity);
+                Placement::free(body, motion, omega.unwrap_or_default())
+            }
         }
     }
 
@@ -572,41 +468,6 @@ impl Simulation {
             motion.momentum = Vector3::from(velocity_m_s) * body.mass_kg();
             let angular = body.inertia(q) * Vector3::from(omega_per_s) + body.spin(q, velocity);
             motion.angular_momentum = motion.frame.rotation * angular;
-        }
-    }
-}
-
-/// The frame's motion as a pass over a step takes it.
-struct Pass {
-    /// Angular velocity that the frame turns with, and the one at the end.
-    omega: [Vector3<f64>; 2],
-    angular_acceleration: Vector3<f64>,
-    q: Vec<f64>,
-    velocity: Vec<f64>,
-    /// Force and torque of grabs and obstacles, in the world.
-    pull: [Vector3<f64>; 2],
-}
-
-/// What acts on a body during a step.
-#[derive(Clone, Copy)]
-struct Load<'a> {
-    /// Reduced, in the body's frame.
-    force: &'a [f64],
-    /// At vertices, in the world.
-    at_vertices: &'a [(&'a VertexRows, [f64; 3])],
-}
-
-/// Adds `share` of what forces in N in the world do at vertices of the placed body.
-fn add_vertex_loads(
-    load: &mut [f64],
-    at_vertices: &[(&VertexRows, [f64; 3])],
-    placement: &Placement,
-    share: f64,
-) {
-    for (vertex, f) in at_vertices {
-        let f = placement.turned(*f) * share;
-        for (load, row) in load.iter_mut().zip(&vertex.rows) {
-            *load += Vector3::from(*row).dot(&f);
         }
     }
 }

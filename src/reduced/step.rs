@@ -2,7 +2,7 @@
 
 use crate::ReducedModel;
 use crate::dense::{self, SmallCholesky};
-use crate::interaction::{Derivative, Interactions, Placement};
+use crate::interaction::{Derivative, Interactions, Placement, Pull, Wrench};
 use crate::material::Mat3;
 use faer::Mat;
 use nalgebra::Vector3;
@@ -13,22 +13,24 @@ pub(crate) struct State {
     pub(crate) q: Vec<f64>,
     pub(crate) velocity: Vec<f64>,
     pub(crate) acceleration: Vec<f64>,
-    /// The load that `acceleration` was found under: when it jumps, acceleration jumps with it.
+    /// The load that `acceleration` was found under, grabs included: when it jumps, acceleration jumps with it.
     pub(crate) load: Vec<f64>,
+    /// The part of `acceleration` that is contact's.
+    pub(crate) contact: Vec<f64>,
 }
 
 impl State {
     pub(crate) fn at_rest(r: usize) -> State {
-        let [q, velocity, acceleration, load] = [(); 4].map(|()| vec![0.0; r]);
-        State { q, velocity, acceleration, load }
+        let [q, velocity, acceleration, load, contact] = [(); 5].map(|()| vec![0.0; r]);
+        State { q, velocity, acceleration, load, contact }
     }
 
     /// The same place and motion under another load (UᵀMU = I): an average acceleration over the step takes its
     /// beginning from here, or a load would come into force half a step late.
-    fn under(&self, load: &[f64]) -> State {
+    fn under(&self, load: Vec<f64>) -> State {
         let jump = load.iter().zip(&self.load).map(|(new, old)| new - old);
         let acceleration = self.acceleration.iter().zip(jump).map(|(a, jump)| a + jump).collect();
-        State { acceleration, load: load.to_vec(), ..self.clone() }
+        State { acceleration, load, ..self.clone() }
     }
 
     pub(crate) fn is_finite(&self) -> bool {
@@ -55,6 +57,18 @@ impl Scheme {
             Scheme::Newmark => [2.0 / dt, 4.0 / (dt * dt)],
             Scheme::BackwardEuler => [1.0 / dt, 1.0 / (dt * dt)],
             Scheme::QuasiStatic => [0.0, 0.0],
+        }
+    }
+
+    /// At how many ends of a step loads and grabs act: with their mean over both, or with what they do at the last.
+    ///
+    /// Contact pushes over the whole step as at its last end, so that it never gives more than it has taken. By the
+    /// mean, what leaves an obstacle within a step would still be pushed by half of what it met at its beginning:
+    /// a bar that fell flat on a floor harder than steps resolve left it with 16 times its energy.
+    pub(crate) fn ends(self) -> f64 {
+        match self {
+            Scheme::Newmark => 2.0,
+            Scheme::BackwardEuler | Scheme::QuasiStatic => 1.0,
         }
     }
 
@@ -106,6 +120,8 @@ pub(crate) struct Step<'a> {
     pub(crate) scheme: Scheme,
     /// Reduced load (r numbers), constant over the step.
     pub(crate) load: &'a [f64],
+    /// Reduced force of the grabs at the step's beginning (r numbers).
+    pub(crate) grabbed: &'a [f64],
     pub(crate) interactions: &'a Interactions<'a>,
     /// Where the body will be as far as is known.
     pub(crate) placement: Placement,
@@ -114,20 +130,36 @@ pub(crate) struct Step<'a> {
     pub(crate) dt: f64,
 }
 
-/// Inertia of the frame, and what it was expected to be pulled with (force and torque in the frame).
+/// Inertia of the frame, and what pulls at it (force and torque in the frame).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RigidPart {
     pub(crate) mass_kg: f64,
     pub(crate) inertia: Mat3,
-    pub(crate) expected: [Vector3<f64>; 2],
+    /// What was expected to act over the step, of grabs and contact.
+    pub(crate) expected: Wrench,
+    /// What grabs pull with at the step's beginning.
+    pub(crate) before: Wrench,
+}
+
+impl RigidPart {
+    /// What acts over the step, times the number of its ends at which grabs pull.
+    fn acting(&self, pull: &Pull, ends: f64) -> Wrench {
+        let of = |k: usize| {
+            let before = self.before[k] * (ends - 1.0);
+            pull.grabs.total[k] + before + pull.contact.total[k] * ends
+        };
+        [of(0), of(1)]
+    }
 }
 
 /// What a step leads to.
 pub(crate) struct Stepped {
     pub(crate) state: State,
     pub(crate) placement: Placement,
-    /// What grabs and obstacles pull with there: force and torque in the frame.
-    pub(crate) total: [Vector3<f64>; 2],
+    /// What grabs pull with there, force and torque in the frame.
+    pub(crate) grabs: Wrench,
+    /// What obstacles push with there, likewise.
+    pub(crate) contact: Wrench,
     /// Estimate of the relative error that the step added to q.
     pub(crate) error: f64,
 }
@@ -138,13 +170,13 @@ impl Step<'_> {
     /// Where the frame is free, its shift and turn from where it was expected are unknowns beside q: contact as
     /// stiff as it is would otherwise be stable for small steps only.
     pub(crate) fn from(&self, start: &State, n_newton: &mut u32) -> Option<Stepped> {
-        let start = &start.under(self.load);
+        let start = &start.under(sum(self.load, self.grabbed, 1.0));
         let r = self.model.r();
         let [to_velocity, to_acceleration] = self.scheme.rates(self.dt);
         let n = r + if self.rigid.is_some() { 6 } else { 0 };
         let derivative = Derivative { rate: to_velocity, of_frame: self.rigid.is_some() };
-        // The frame's momentum changes by force times dt, and it moves with the mean velocity or the last.
-        let frame_weight = to_velocity / self.dt;
+        // The frame moves as q does, if what is expected to act is multiplied by the ends at which it does.
+        let ends = self.scheme.ends();
         let mut x = start.q.clone();
         x.resize(n, 0.0);
         // The last Newton step, and the residual's part along it where it began.
@@ -161,17 +193,15 @@ impl Step<'_> {
                 Some(_) => self.placement.corrected(shift, turn, to_velocity),
                 None => self.placement,
             };
-            let pull = (!self.interactions.are_none())
-                .then(|| self.interactions.pull(&placement, q, &velocity, Some(derivative)));
-            let total = pull.as_ref().map_or([Vector3::zeros(); 2], |pull| pull.total);
+            let pull = self.interactions.pull(&placement, q, &velocity, Some(derivative));
             let mut scale = 0.0;
             let mut residual: Vec<f64> = (0..r)
                 .map(|i| {
                     let damped: f64 = match self.scheme {
                         Scheme::QuasiStatic => 0.0,
-                        _ => (0..r).map(|j| self.damping[(j, i)] * velocity[j]).sum(),
+                        _ => inner(self.damping.col_as_slice(i), &velocity),
                     };
-                    let pulled = pull.as_ref().map_or(0.0, |pull| pull.force[i]);
+                    let pulled = pull.grabs.force[i] + ends * pull.contact.force[i];
                     let inertia = match self.scheme {
                         Scheme::QuasiStatic => 0.0,
                         _ => acceleration[i],
@@ -184,11 +214,13 @@ impl Step<'_> {
                     self.load[i] + pulled - inertia - damped - sums.force[i]
                 })
                 .collect();
-            if let Some(RigidPart { mass_kg, inertia, expected }) = self.rigid {
-                let wanted = [shift * (mass_kg * frame_weight), inertia * turn * frame_weight];
-                for ((total, expected), wanted) in total.iter().zip(&expected).zip(&wanted) {
-                    scale += total.norm_squared() + expected.norm_squared();
-                    residual.extend((total - expected - wanted).iter());
+            if let Some(rigid @ RigidPart { mass_kg, inertia, expected, .. }) = &self.rigid {
+                let acting = rigid.acting(&pull, ends);
+                let expected = expected.map(|expected| expected * ends);
+                let changes = [shift * *mass_kg, inertia * turn];
+                for ((acting, expected), change) in acting.iter().zip(&expected).zip(&changes) {
+                    scale += acting.norm_squared() + expected.norm_squared();
+                    residual.extend((acting - expected - change * to_acceleration).iter());
                 }
             }
             let norm = residual.iter().map(|x| x * x).sum::<f64>();
@@ -203,10 +235,14 @@ impl Step<'_> {
                 continue;
             }
             if norm <= TOLERANCE * TOLERANCE * scale {
-                let state =
-                    State { q: q.to_vec(), velocity, acceleration, load: self.load.to_vec() };
+                let contact = pull.contact.force;
+                let load = sum(self.load, &pull.grabs.force, 1.0);
+                // As the rule has it, acceleration makes up for both ends.
+                let acceleration = sum(&acceleration, &contact, 1.0 - ends);
+                let state = State { q: q.to_vec(), velocity, acceleration, load, contact };
                 let error = self.scheme.error(start, &state, self.dt);
-                return Some(Stepped { state, placement, total, error });
+                let (grabs, contact) = (pull.grabs.total, pull.contact.total);
+                return Some(Stepped { state, placement, grabs, contact, error });
             }
             if let Some((before, step)) = &last
                 && inner(&residual, step) < -OVERSHOOT * before
@@ -216,28 +252,24 @@ impl Step<'_> {
                 retreat(&mut x, step, backtracks);
                 continue;
             }
-            let mut jacobian = match pull.and_then(|pull| pull.stiffness) {
-                Some(stiffness) => stiffness,
-                None => Mat::zeros(n, n),
-            };
-            let mut of_q = jacobian.as_mut().submatrix_mut(0, 0, r, r);
-            of_q += &sums.stiffness;
+            let mut jacobian = pull.stiffness.unwrap_or_else(|| Mat::zeros(n, n));
             if let Some(RigidPart { mass_kg, inertia, .. }) = self.rigid {
                 for i in 0..3 {
-                    jacobian[(r + i, r + i)] += mass_kg * frame_weight;
+                    jacobian[(r + i, r + i)] += mass_kg * to_acceleration;
                     for j in 0..3 {
-                        jacobian[(r + 3 + i, r + 3 + j)] += inertia[(i, j)] * frame_weight;
+                        jacobian[(r + 3 + i, r + 3 + j)] += inertia[(i, j)] * to_acceleration;
                     }
                 }
             }
             for j in 0..r {
-                for i in 0..r {
-                    jacobian[(i, j)] += to_velocity * self.damping[(i, j)];
+                let column = &mut jacobian.col_as_slice_mut(j)[..r];
+                let terms = sums.stiffness.col_as_slice(j).iter().zip(self.damping.col_as_slice(j));
+                for (to, (k, d)) in column.iter_mut().zip(terms) {
+                    *to += k + to_velocity * d;
                 }
-                jacobian[(j, j)] += to_acceleration;
+                column[j] += to_acceleration;
             }
-            let is_unsymmetric = self.interactions.are_unsymmetric(&placement);
-            let step = solve(jacobian, &residual, is_unsymmetric)?;
+            let step = solve(jacobian, &residual, pull.is_unsymmetric)?;
             x.iter_mut().zip(&step).for_each(|(x, step)| *x += step);
             last = Some((inner(&residual, &step), step));
             backtracks = 0;
@@ -254,7 +286,11 @@ impl Step<'_> {
         match self.scheme {
             Scheme::Newmark => [
                 of(&|i| 2.0 / dt * moved(i) - start.velocity[i]),
-                of(&|i| 4.0 / dt * (moved(i) / dt - start.velocity[i]) - start.acceleration[i]),
+                // Contact does not act at the beginning.
+                of(&|i| {
+                    4.0 / dt * (moved(i) / dt - start.velocity[i])
+                        - (start.acceleration[i] - start.contact[i])
+                }),
             ],
             Scheme::BackwardEuler => {
                 [of(&|i| moved(i) / dt), of(&|i| (moved(i) / dt - start.velocity[i]) / dt)]
@@ -292,6 +328,11 @@ fn solve(mut jacobian: Mat<f64>, residual: &[f64], is_unsymmetric: bool) -> Opti
         }
     }
     None
+}
+
+/// x + s·y.
+fn sum(x: &[f64], y: &[f64], s: f64) -> Vec<f64> {
+    x.iter().zip(y).map(|(x, y)| x + s * y).collect()
 }
 
 fn inner(x: &[f64], y: &[f64]) -> f64 {

@@ -1,6 +1,7 @@
 //! Bodies that are pulled at and that lie on things.
 
 use crate::bodies::{bar, norm, params};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use std::sync::Arc;
 use sutura_core::build::{
     self, Artifacts, BuildParams, CubatureParams, RayleighDamping, Selection,
@@ -8,13 +9,17 @@ use sutura_core::build::{
 use sutura_core::control::Uncontrolled;
 use sutura_core::reduced::contact::{Contact, Obstacle};
 use sutura_core::reduced::{
-    Environment, Grab, Integrator, Simulation, SimulationParams, StepReport,
+    Environment, Grab, Integrator, Simulation, SimulationParams, StepReport, VertexRows,
 };
 use sutura_core::testing::Cut;
 
 const DAMPED: RayleighDamping = RayleighDamping { mass_per_s: 5.0, stiffness_s: 0.003 };
 
 fn body(is_held: bool, damping: RayleighDamping) -> Artifacts {
+    body_of(is_held, damping, 30)
+}
+
+fn body_of(is_held: bool, damping: RayleighDamping, basis_size: usize) -> Artifacts {
     let bar = bar(Cut::Whole);
     let fixed_vertices = if is_held { bar.root.clone() } else { Vec::new() };
     let cubature = Some(CubatureParams {
@@ -24,8 +29,7 @@ fn body(is_held: bool, damping: RayleighDamping) -> Artifacts {
         seed: 1,
         selection: Selection::default(),
     });
-    let params =
-        BuildParams { fixed_vertices, basis_size: 30, damping, cubature, ..params(&bar, 12) };
+    let params = BuildParams { fixed_vertices, basis_size, damping, cubature, ..params(&bar, 12) };
     build::build(bar.mesh, &params, &Uncontrolled).unwrap()
 }
 
@@ -53,6 +57,18 @@ fn tip(body: &Artifacts) -> u32 {
 fn run(simulation: &mut Simulation, n_steps: usize) -> Vec<StepReport> {
     let r = simulation.q().len();
     (0..n_steps).map(|_| simulation.step(&vec![0.0; r], &[])).collect()
+}
+
+/// Where some vertices are.
+fn places(vertices: &[VertexRows], simulation: &Simulation) -> Vec<Vector3<f64>> {
+    let [x, y, z, i, j, k, w] = simulation.rigid();
+    let rotation = UnitQuaternion::new_unchecked(Quaternion::new(w, i, j, k));
+    let place = |vertex: &VertexRows| {
+        let moved = vertex.rows.iter().zip(simulation.q()).map(|(row, q)| Vector3::from(*row) * *q);
+        let local = Vector3::from(vertex.rest_m) + moved.sum::<Vector3<f64>>();
+        rotation * local + Vector3::new(x, y, z)
+    };
+    vertices.iter().map(place).collect()
 }
 
 fn lowest_m(body: &Artifacts, simulation: &Simulation) -> f64 {
@@ -191,4 +207,85 @@ fn a_pose_pressed_by_a_moving_tool_stays_finite() {
         }
         assert!(most > 0.1, "{integrator:?}: the tool never touched");
     }
+}
+
+#[test]
+fn grabs_act_to_second_order_from_the_moment_they_are_there() {
+    for is_held in [true, false] {
+        // Few columns: modes that a step does not resolve hide its order.
+        let damping = RayleighDamping { mass_per_s: 1.0, stiffness_s: 1e-4 };
+        let body = body_of(is_held, damping, 6);
+        let free = body.full_model().free_vertices();
+        let vertices: Vec<VertexRows> = [0, free.len() / 2, free.len() - 1]
+            .iter()
+            .map(|&v| body.vertex_rows(free[v]))
+            .collect();
+        let [first, .., last] = &vertices[..] else { panic!() };
+        let pull = |vertex: &VertexRows, by: [f64; 3], damping_n_s_m: f64| Grab {
+            vertex: Arc::new(vertex.clone()),
+            target_m: std::array::from_fn(|axis| vertex.rest_m[axis] + by[axis]),
+            stiffness_n_m: 40.0,
+            damping_n_s_m,
+        };
+        let after = |n_steps: usize, integrator: Integrator| {
+            let mut simulation = simulation(&body, integrator, -9.81, 0.08 / n_steps as f64);
+            simulation.set_rigid_velocity([0.1, -0.2, 0.05], [3.0, 12.0, -8.0]);
+            simulation.set_grabs(vec![
+                pull(last, [0.01, 0.03, -0.02], 0.1),
+                pull(first, [0.0, 0.01, 0.01], 0.0),
+            ]);
+            run(&mut simulation, n_steps / 2);
+            // The tool jumps, and lets go of one end.
+            simulation.set_grabs(vec![pull(last, [-0.02, 0.01, 0.01], 0.1)]);
+            let reports = run(&mut simulation, n_steps - n_steps / 2);
+            assert!(reports.iter().all(|r| (r.n_substeps, r.recovered) == (1, false)));
+            places(&vertices, &simulation)
+        };
+        for (integrator, ratios) in
+            [(Integrator::ImplicitNewmark, 3.5..4.5), (Integrator::BackwardEuler, 1.7..2.3)]
+        {
+            let found = [400, 800, 1600, 3200].map(|n_steps| after(n_steps, integrator));
+            let apart = |a: &[Vector3<f64>], b: &[Vector3<f64>]| {
+                a.iter().zip(b).map(|(a, b)| (a - b).norm_squared()).sum::<f64>().sqrt()
+            };
+            let changes: Vec<f64> = found.windows(2).map(|w| apart(&w[0], &w[1])).collect();
+            let is_of_order = changes.windows(2).all(|w| ratios.contains(&(w[0] / w[1])));
+            assert!(is_of_order, "{is_held} {integrator:?}: {changes:?}");
+        }
+    }
+}
+
+#[test]
+fn what_a_step_does_not_resolve_of_a_hard_floor_neither_kicks_nor_trembles() {
+    let body = body(false, RayleighDamping { mass_per_s: 0.0, stiffness_s: 1e-4 });
+    let surface = body.contact_surface().clone();
+    let hard = |height_m: f64| {
+        let contact =
+            Contact { stiffness_pa_m: 1e10, damping_s_m: 0.0, friction: 0.0, creep_m_s: 1e-3 };
+        Arc::new(Environment { contact, ..Environment::clone(&floor(height_m, 0.0)) })
+    };
+    // Flat onto the floor, at many distances from it: the first contact falls on any part of a step.
+    let mut most: f64 = 0.0;
+    for start in 0..10 {
+        let mut simulation = simulation(&body, Integrator::ImplicitNewmark, 0.0, 2e-3);
+        let height_m = lowest_m(&body, &simulation) - 1e-3 - 1e-4 * f64::from(start);
+        simulation.set_environment(Some(hard(height_m)), Some(surface.clone()));
+        simulation.set_rigid_velocity([0.0, -0.5, 0.0], [0.0; 3]);
+        let [before, _] = simulation.energies_j();
+        run(&mut simulation, 20);
+        most = most.max(simulation.energies_j().iter().sum::<f64>() / before);
+    }
+    assert!(most < 1.001, "left with {most} times the energy");
+    // Laid down with its weight, it lies still.
+    let mut simulation = simulation(&body, Integrator::ImplicitNewmark, -9.81, 2e-3);
+    let height_m = lowest_m(&body, &simulation);
+    simulation.set_environment(Some(hard(height_m)), Some(surface));
+    run(&mut simulation, 500);
+    let weight = 9.81 * body.lumped_mass_kg().iter().sum::<f64>();
+    let mut worst: f64 = 0.0;
+    for _ in 0..20 {
+        run(&mut simulation, 1);
+        worst = worst.max((simulation.interaction_force_n()[1] / weight - 1.0).abs());
+    }
+    assert!(worst < 0.05, "the floor bears its weight but for {worst}");
 }

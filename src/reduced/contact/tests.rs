@@ -1,6 +1,6 @@
 use super::*;
 use crate::frame::Frame;
-use crate::interaction::{Derivative, Grab, Interactions, VertexRows};
+use crate::interaction::{Derivative, Effect, Grab, Interactions, Pull, VertexRows};
 use nalgebra::UnitQuaternion;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -95,13 +95,22 @@ fn forces_of_grabs_and_contact_have_the_stiffness_that_newton_s_method_takes() {
     // Planes: of curved obstacles Newton's method leaves out what would make its matrix indefinite.
     let planes = [obstacles()[0]];
     let grabs = [grab];
+    let contact = Some((&surface, contact));
     let interactions =
-        Interactions { grabs: &grabs, obstacles: &planes, contact: Some((&surface, contact)) };
+        Interactions { grabs: &grabs, obstacles: &planes, contact, contact_weight: 2.0 };
+    // As often as each counts: force on q, then on the frame.
+    let weighted = |pull: &Pull| -> Vec<f64> {
+        let all = |effect: &Effect| -> Vec<f64> {
+            effect.force.iter().chain(effect.total.iter().flatten()).copied().collect()
+        };
+        all(&pull.grabs).iter().zip(all(&pull.contact)).map(|(a, b)| a + 2.0 * b).collect()
+    };
     let (q, rate) = (pose(3, 0.03), 200.0);
     let derivative = Derivative { rate, of_frame: true };
     let pull = interactions.pull(&placement(), &q, &[0.0; R], Some(derivative));
+    assert!(pull.grabs.total[0].norm() > 5.0 && pull.contact.total[0].norm() > 5.0);
+    let forces = weighted(&pull);
     let stiffness = pull.stiffness.unwrap();
-    assert!(pull.total[0].norm() > 10.0);
     // Steps of q and of the frame: forces on both.
     let step: Vec<f64> = (0..R + 6).map(|k| 1e-7 * number(155 + k)).collect();
     let at = |s: f64| {
@@ -109,12 +118,10 @@ fn forces_of_grabs_and_contact_have_the_stiffness_that_newton_s_method_takes() {
         let velocity: Vec<f64> = step[..R].iter().map(|d| s * rate * d).collect();
         let part = |first: usize| Vector3::from_fn(|axis, _| s * step[R + first + axis]);
         let frame = placement().corrected(part(0), part(3), rate);
-        let pull = interactions.pull(&frame, &moved, &velocity, None);
-        let total = pull.total.iter().flat_map(|x| x.iter().copied().collect::<Vec<f64>>());
-        pull.force.iter().copied().chain(total).collect::<Vec<f64>>()
+        weighted(&interactions.pull(&frame, &moved, &velocity, None))
     };
     let (ahead, behind) = (at(1.0), at(-1.0));
-    let scale = pull.force.iter().fold(0.0f64, |m, f| m.max(f.abs()));
+    let scale = forces[..R].iter().fold(0.0f64, |m, f| m.max(f.abs()));
     for i in 0..R + 6 {
         let difference = 0.5 * (ahead[i] - behind[i]);
         let exact: f64 = -(0..R + 6).map(|j| stiffness[(i, j)] * step[j]).sum::<f64>();
