@@ -64,7 +64,7 @@ impl Scheme {
     ///
     /// Contact pushes over the whole step as at its last end, so that it never gives more than it has taken. By the
     /// mean, what leaves an obstacle within a step would still be pushed by half of what it met at its beginning:
-    /// a bar that fell flat on a floor harder than steps resolve left it with 16 times its energy.
+    /// a bar that fell flat on a floor harder than steps resolve left it with 3.5 times its energy.
     pub(crate) fn ends(self) -> f64 {
         match self {
             Scheme::Newmark => 2.0,
