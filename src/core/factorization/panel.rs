@@ -86,7 +86,7 @@ impl Shape {
 
     /// Columns of the group that ends before column `end`.
     fn group_before(self, end: usize) -> usize {
-        if end % GROUP == 0 { GROUP } else { 1 << (end % GROUP).trailing_zeros() }
+        if end.is_multiple_of(GROUP) { GROUP } else { 1 << (end % GROUP).trailing_zeros() }
     }
 }
 
