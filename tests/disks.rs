@@ -80,7 +80,7 @@ impl Disk {
     /// Leaves no byte of room.
     fn fill(&self) -> PathBuf {
         let path = self.seen_from_here(Path::new("ballast"));
-        let mut file = fs::File::create(&path).unwrap();
+        let mut file = fs::File::options().create(true).append(true).open(&path).unwrap();
         while file.write_all(&[1; 4096]).is_ok() {}
         path
     }
@@ -121,17 +121,27 @@ async fn a_full_disk_refuses_changes_and_serves_the_rest() {
     session.edit(&stitch(&seam()[..2])).await.unwrap();
     let before = evaluated(&session).await;
     assert_eq!(before.0, 1);
+    let bodies = || fs::read_dir(disk.seen_from_here(Path::new("data/bodies")));
+    let n_bodies = || bodies().map_or(0, |bodies| bodies.count());
+    let begun = Instant::now();
+    while n_bodies() < 3 {
+        assert!(begun.elapsed() < PATIENCE, "no bodies are kept");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
 
     let ballast = disk.fill();
-    // A journal's last page may have room for a record or two; none that was acknowledged is lost.
+    // Kept bodies make room, and a journal's last page may have some for a record or two; none that was
+    // acknowledged is lost.
     let mut n_kept = 0;
     let refused = loop {
+        disk.fill();
         match session.edit(&stitch(&seam()[2 + n_kept..3 + n_kept])).await {
             Ok(_) => n_kept += 1,
             Err(error) => break error,
         }
     };
     assert_eq!(refused.status(), Some(507), "{refused}");
+    assert_eq!(n_bodies(), 0);
     let kept = evaluated(&session).await;
     assert_eq!(kept.0, 1 + n_kept as u64);
     let client = daemon.client().await;
@@ -147,7 +157,7 @@ async fn a_full_disk_refuses_changes_and_serves_the_rest() {
     let session = daemon.client().await.session(session.id()).unwrap();
     assert!(evaluated(&session).await == kept);
     fs::remove_file(ballast).unwrap();
-    session.edit(&stitch(&seam()[5..6])).await.unwrap();
+    session.edit(&stitch(&seam()[8..])).await.unwrap();
     let after = evaluated(&session).await;
     assert_eq!(after.0, kept.0 + 1);
     daemon.kill();

@@ -285,7 +285,9 @@ async fn what_was_acknowledged_outlives_kill_9_at_any_instant() {
     let n_kills = std::env::var("SUTURA_KILLS").map_or(KILLS, |n| n.parse().unwrap());
     let folder = tempfile::tempdir().unwrap();
     let settings = folder.path().join("sutura.toml");
-    std::fs::write(&settings, format!("[work]\nn_kept_generations = {N_KEPT}\n")).unwrap();
+    // Bodies are written as soon as they are there, so that some are being written when the end comes.
+    let text = format!("[work]\nn_kept_generations = {N_KEPT}\n[data]\nbodies_rest_s = 0.02\n");
+    std::fs::write(&settings, text).unwrap();
     let data = folder.path().join("data");
     let start = || Daemon::start_with(&data, &["--config".as_ref(), settings.as_ref()]);
     let acknowledged = Shared::default();

@@ -280,6 +280,14 @@ impl Combination {
         }
     }
 
+    /// The same, not kept where it has not been multiplied out yet.
+    pub fn to_dense(&self) -> Mat<f64> {
+        match self.known_dense() {
+            Some(dense) => dense.to_owned(),
+            None => self.dictionary.times(self.coefficients()),
+        }
+    }
+
     fn known_dense(&self) -> Option<MatRef<'_, f64>> {
         if self.is_whole {
             return Some(self.dictionary.blocks[0].columns.as_ref());

@@ -16,12 +16,14 @@ pub use sutura_reduced::*;
 /// Points whose rows are gathered at a time.
 const POINTS_PER_TASK: usize = 256;
 
-/// Tables for `rule` in `basis`; `stretch` is AᵀU (3s×r).
+/// Tables for `rule` in `basis`; `stitch_stiffness` is UᵀAAᵀU (r×r), `gravity` are the loads of
+/// [`gravity_loads`].
 pub(crate) fn reduced_model(
     model: &FullModel,
     rule: &Rule,
     basis: &Combination,
-    stretch: MatRef<'_, f64>,
+    stitch_stiffness: Mat<f64>,
+    gravity: Mat<f64>,
     damping: RayleighDamping,
     n_rigid_modes: usize,
     free: Option<Arc<FreeBody>>,
@@ -37,9 +39,12 @@ pub(crate) fn reduced_model(
         weight_m3: weight * model.volumes_m3()[tet as usize],
     };
     let points = rule.tets.iter().zip(&rule.weights).map(point).collect();
-    let gravity = basis.under_loads(|| model.translation_loads());
-    let stitch_stiffness = linalg::gram(stretch, stretch);
     ReducedModel::new(points, gradients, stitch_stiffness, damping, gravity, n_rigid_modes, free)
+}
+
+/// Reduced loads of unit gravity along each axis (r×3).
+pub(crate) fn gravity_loads(model: &FullModel, basis: &Combination) -> Mat<f64> {
+    basis.under_loads(|| model.translation_loads())
 }
 
 /// The inertia of a body that nothing holds, from its basis (n×r).

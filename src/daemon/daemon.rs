@@ -137,6 +137,7 @@ impl Daemon {
             work: config.work.clone(),
             limits: config.limits.clone(),
             memory: config.memory.store(),
+            keeping: config.data.keeping(),
         };
         let bus_config = config.zenoh.bus(tls_files, config.data.path.0.as_deref());
         let s3 = config.object_store.s3(|name| std::env::var(name).ok())?;

@@ -378,7 +378,8 @@ impl Storage for Objects {
             .filter_map(|object| {
                 let parts = object.location.prefix_match(&self.prefix)?;
                 let name = Path::from_iter(parts).to_string();
-                Some(Entry { name, modified: Some(SystemTime::from(object.last_modified)) })
+                let modified = Some(SystemTime::from(object.last_modified));
+                Some(Entry { name, modified, n_bytes: object.size })
             })
             .collect();
         entries.sort_by(|a, b| a.name.cmp(&b.name));

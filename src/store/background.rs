@@ -13,7 +13,7 @@ use crate::work::PREPARATION;
 use std::sync::Arc;
 use std::time::Duration;
 use sutura_core::build::{
-    Artifacts, Method, RebuildParams, StitchedBase, prepare_base, prepare_seams, rebase, rebuild,
+    Artifacts, BaseBody, Method, RebuildParams, prepare_base, prepare_seams, rebase, rebuild,
 };
 use sutura_core::control::Control;
 
@@ -169,7 +169,7 @@ impl Shared {
     fn move_to_base(
         self: &Arc<Self>,
         session: &Arc<LiveSession>,
-        base: StitchedBase,
+        base: BaseBody,
         rebasing: Rebasing,
     ) {
         let (store, live) = (self.clone(), session.clone());

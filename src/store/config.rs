@@ -11,6 +11,25 @@ pub struct StoreConfig {
     pub limits: Limits,
     /// What bodies may take up.
     pub memory: MemoryConfig,
+    /// What is kept beside the sessions.
+    pub keeping: KeepingConfig,
+}
+
+/// What is kept beside the sessions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KeepingConfig {
+    /// Bytes of prepared bodies in the storage, so that they need not be made again; 0 for none. Beyond, those
+    /// used longest ago are deleted. A storage that is shared keeps none.
+    pub max_body_bytes: u64,
+    /// How long a session has to be as it is before its bodies are written: those of edits that follow each other
+    /// more quickly are of use to nobody, and would take up the disk that the edits wait for.
+    pub rest: Duration,
+}
+
+impl Default for KeepingConfig {
+    fn default() -> Self {
+        Self { max_body_bytes: 4 << 30, rest: Duration::from_secs(2) }
+    }
 }
 
 /// What bodies may take up.

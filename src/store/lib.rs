@@ -18,6 +18,7 @@ mod control;
 mod error;
 mod event;
 mod fleet;
+mod keeping;
 mod live;
 mod memory;
 mod metrics;
@@ -38,7 +39,7 @@ pub mod testing;
 mod tests;
 mod work;
 
-pub use config::{Limits, MemoryConfig, StoreConfig, WorkConfig};
+pub use config::{KeepingConfig, Limits, MemoryConfig, StoreConfig, WorkConfig};
 pub use error::{InputError, StoreError};
 pub use event::{Event, EventKind};
 pub use fleet::HAND_OVER;

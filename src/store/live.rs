@@ -15,6 +15,7 @@ use crate::stepping::SimulationHandle;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 use tokio::sync::{broadcast, watch};
 
 /// Where a new session's events go, and what it may keep.
@@ -61,6 +62,8 @@ struct Inner {
     /// A base body that holds the stitches is being prepared.
     is_rebasing: bool,
     simulation: Option<Arc<SimulationHandle>>,
+    /// Since when there are generations whose bodies are perhaps not kept.
+    unkept: Option<Instant>,
     /// How an earlier process simulated the session: until it is restored.
     simulation_config: Option<SimulationConfig>,
     /// `None` once the session is deleted.
@@ -186,6 +189,7 @@ impl LiveSession {
                 improvement: None,
                 is_rebasing: false,
                 simulation: None,
+                unkept: None,
                 simulation_config: None,
                 channels: Some(channels),
             }),
@@ -209,13 +213,29 @@ impl LiveSession {
         self.lock().generations.values().cloned().collect()
     }
 
+    /// Whether the session has been as it is for so long, and its bodies are perhaps not kept.
+    pub(crate) fn is_unkept_for(&self, rest: Duration) -> bool {
+        let inner = self.lock();
+        inner.state == SessionState::Ready
+            && inner.unkept.is_some_and(|since| since.elapsed() >= rest)
+    }
+
+    /// The generations in memory, whose bodies the caller keeps now.
+    pub(crate) fn begin_keeping(&self) -> Vec<Arc<Generation>> {
+        let mut inner = self.lock();
+        inner.unkept = None;
+        inner.generations.values().cloned().collect()
+    }
+
+    /// Whether nothing is done with the body now.
+    pub(crate) fn is_idle(&self) -> bool {
+        self.lock().is_idle()
+    }
+
     /// Takes the body out of memory, if it can be made again and nothing is done with it now.
     pub(crate) fn evict(&self) -> Option<Leftovers> {
         let mut inner = self.lock();
-        let is_idle = inner.state == SessionState::Ready
-            && inner.simulation.is_none()
-            && inner.channels.is_some();
-        if self.journal.is_none() || !is_idle {
+        if self.journal.is_none() || !inner.is_idle() {
             return None;
         }
         self.set_state(&mut inner, SessionState::Stored);
@@ -582,7 +602,12 @@ impl Drop for Rebasing {
 }
 
 impl Inner {
+    fn is_idle(&self) -> bool {
+        self.state == SessionState::Ready && self.simulation.is_none() && self.channels.is_some()
+    }
+
     fn keep(&mut self, generations: impl IntoIterator<Item = Arc<Generation>>) {
+        self.unkept = Some(Instant::now());
         for generation in generations {
             self.number = self.number.max(generation.number);
             self.generations.insert(generation.number, generation);

@@ -53,6 +53,10 @@ impl Shared {
         others.retain(|session| session.id != user);
         others.sort_by_key(|session| session.last_use());
         for session in others {
+            // So that it comes back quickly.
+            if session.is_idle() {
+                self.keep_bodies(&session, &|| true);
+            }
             if let Some(leftovers) = session.evict() {
                 tracing::info!(session = %session.id, "the body leaves memory");
                 session.cancel_improvement();

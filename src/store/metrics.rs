@@ -1,6 +1,9 @@
 //! Names of everything the store measures, and the one way to record each.
 
-use metrics::{Counter, Histogram, Unit, counter, describe_counter, describe_histogram, histogram};
+use metrics::{
+    Counter, Histogram, Unit, counter, describe_counter, describe_gauge, describe_histogram, gauge,
+    histogram,
+};
 use std::time::Duration;
 
 const TASK_WAIT: &str = "sutura_task_wait_seconds";
@@ -11,6 +14,8 @@ const STEP: &str = "sutura_step_seconds";
 const STEP_DELAY: &str = "sutura_step_delay_seconds";
 const JOURNAL_WRITE: &str = "sutura_journal_write_seconds";
 const SHED: &str = "sutura_shed_total";
+const BODIES: &str = "sutura_bodies_total";
+const KEPT_BODIES: &str = "sutura_kept_body_bytes";
 
 /// Says what each metric is, to the recorder of the process.
 pub fn describe_metrics() {
@@ -22,6 +27,21 @@ pub fn describe_metrics() {
     describe_histogram!(STEP_DELAY, Unit::Seconds, "How long after they were due steps began");
     describe_histogram!(JOURNAL_WRITE, Unit::Seconds, "Time until a record was on the disk");
     describe_counter!(SHED, "Requests refused because a limit was reached, by limit");
+    describe_counter!(
+        BODIES,
+        "Bodies made, read from the storage, written there, and found damaged there, by event"
+    );
+    describe_gauge!(KEPT_BODIES, Unit::Bytes, "Prepared bodies in the storage");
+}
+
+/// A body was `made`, `read`, `written` or found `damaged`.
+pub(crate) fn body(event: &'static str) {
+    counter!(BODIES, "event" => event).increment(1);
+}
+
+/// Prepared bodies take up so much of the storage.
+pub(crate) fn kept_bodies(n_bytes: u64) {
+    gauge!(KEPT_BODIES).set(n_bytes as f64);
 }
 
 pub(crate) fn task_waited(kind: &'static str, waited: Duration) {

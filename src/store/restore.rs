@@ -1,4 +1,5 @@
-//! Bodies of sessions that earlier processes left, made again from what is kept of them.
+//! Bodies of sessions that earlier processes left, or that have left memory: read, or made again from what is kept of
+//! them.
 
 use crate::archive::record::GenerationRecord;
 use crate::archive::{Contents, Found, Journal};
@@ -12,7 +13,7 @@ use crate::store::Shared;
 use crate::tasks::DEFAULT_TOLERANCE;
 use crate::work::PREPARATION;
 use std::sync::{Arc, PoisonError};
-use sutura_core::build::{Artifacts, BuildError, BuildParams, Recipe, remake};
+use sutura_core::build::{BuildError, Recipe};
 use sutura_core::control::Control;
 use sutura_core::edit::EditState;
 
@@ -71,7 +72,7 @@ impl Shared {
         }
     }
 
-    /// Makes the body of `session` again, if it is not in memory; for the build pool, in its lane.
+    /// Brings the body of `session` back, if it is not in memory; for the build pool, in its lane.
     pub(crate) fn restore(
         self: &Arc<Self>,
         session: &Arc<LiveSession>,
@@ -156,17 +157,16 @@ fn generations(
     records.drain(..records.len().saturating_sub(n_kept));
     let current = records.last().map_or(0, |record| record.number);
     let mut made: Vec<Arc<Generation>> = Vec::new();
-    // Those of a session on an equal mesh share what they can.
-    let kin = |made: &[Arc<Generation>]| {
-        let own = made.iter().map(|generation| generation.artifacts.clone());
-        own.chain(prepared.all()).collect::<Vec<_>>()
+    let body = |recipe: &Recipe, made: &[Arc<Generation>]| {
+        let own: Vec<_> = made.iter().map(|generation| generation.artifacts.clone()).collect();
+        prepared.body(&params, recipe, &own, control)
     };
     let is_first_kept = current < n_kept as u64 && records.first().is_none_or(|r| r.number > 0);
     if is_first_kept {
         let mesh = journal.mesh(&session.mesh)?;
         let recipe = Recipe::of_build(EditState::new(mesh, &params.fixed_vertices));
         let begun = control.now();
-        let artifacts = remade(&params, &recipe, &kin(&made), prepared, control)?;
+        let artifacts = body(&recipe, &made)?;
         made.push(Arc::new(Generation {
             number: 0,
             artifacts,
@@ -179,12 +179,11 @@ fn generations(
     }
     for record in records {
         let number = record.number;
-        let remade = |record: &GenerationRecord| {
+        let body_of = |record: &GenerationRecord| {
             let mesh = journal.mesh(&record.recipe.mesh)?;
-            let recipe = record.recipe.recipe(mesh).map_err(unreadable)?;
-            remade(&params, &recipe, &kin(&made), prepared, control)
+            body(&record.recipe.recipe(mesh).map_err(unreadable)?, &made)
         };
-        match remade(&record) {
+        match body_of(&record) {
             Ok(artifacts) => made.push(Arc::new(record.generation(artifacts))),
             Err(error) if is_passing(&error) => return Err(error),
             Err(error) if number == current => return Err(error),
@@ -194,25 +193,5 @@ fn generations(
     Ok(made)
 }
 
-/// The body of a recipe: one that is there, or a new one.
-fn remade(
-    params: &BuildParams,
-    recipe: &Recipe,
-    kin: &[Arc<Artifacts>],
-    prepared: &PreparedBodies,
-    control: &dyn Control,
-) -> Result<Arc<Artifacts>, StoreError> {
-    if let Some(same) = kin.iter().find(|body| body.params() == params && body.recipe() == *recipe)
-    {
-        return Ok(same.clone());
-    }
-    let body = Arc::new(remake(params, recipe, kin, control)?);
-    if control.is_cancelled() {
-        return Err(StoreError::Cancelled);
-    }
-    prepared.add(&body);
-    Ok(body)
-}
-
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

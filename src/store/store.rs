@@ -6,6 +6,7 @@ use crate::config::StoreConfig;
 use crate::error::StoreError;
 use crate::event::Event;
 use crate::fleet::Fleet;
+use crate::keeping::Keeper;
 use crate::live::{LiveSession, Owner, Surroundings};
 use crate::pool::{Account, CancelFlag, Place, Pool};
 use crate::prepared::PreparedBodies;
@@ -54,6 +55,8 @@ pub(crate) struct Shared {
     pub(crate) newest: Mutex<Option<SessionId>>,
     /// What other daemons have to do with it.
     pub(crate) fleet: Fleet,
+    /// Looks which sessions' bodies are to be kept.
+    pub(crate) keeper: Keeper,
 }
 
 /// Why a store could not be opened.
@@ -76,9 +79,10 @@ impl Store {
     /// Starts the store's threads and finds the sessions that `storage` keeps. All are there at once; their
     /// bodies are restored one by one, the last used first, and whenever one is asked for. Blocks.
     pub fn open(config: StoreConfig, storage: Arc<dyn Storage>) -> Result<Store, OpenError> {
-        let (archive, found) = Archive::open(storage)?;
+        let (archive, found) = Archive::open(storage, config.keeping.max_body_bytes)?;
         let store = Self::with(config, Some(archive))?;
         store.shared.adopt(found);
+        store.shared.start_keeping()?;
         store.shared.watch_fleet()?;
         Ok(store)
     }
@@ -95,7 +99,7 @@ impl Store {
         let shared = Shared {
             sessions: RwLock::default(),
             surroundings,
-            prepared: Arc::default(),
+            prepared: Arc::new(PreparedBodies::new(archive.clone())),
             builds: work::builds(work)?,
             queries: work::queries(work)?,
             stepping: SteppingThreads::start(work.n_stepping_threads, work.stepping_queue_limit)?,
@@ -103,6 +107,7 @@ impl Store {
             to_restore: Mutex::default(),
             newest: Mutex::default(),
             fleet: Fleet::default(),
+            keeper: Keeper::default(),
             config,
         };
         Ok(Store { shared: Arc::new(shared) })
@@ -538,7 +543,9 @@ impl Store {
             shared.builds.close(&[BUILD]);
             shared.queries.close(&[]);
             let edits_ended = shared.builds.join(deadline, CANCEL_GRACE);
-            shared.queries.join(deadline, CANCEL_GRACE) && edits_ended
+            let queries_ended = shared.queries.join(deadline, CANCEL_GRACE);
+            shared.keep_the_rest(deadline);
+            queries_ended && edits_ended
         });
         let ended = join.await.unwrap_or(false);
         self.sessions().values().for_each(|session| session.close());

@@ -10,15 +10,16 @@ use crate::prepared::PreparedBodies;
 use crate::session::{EditRequest, Generation, GenerationRef};
 use std::sync::Arc;
 use std::time::Duration;
-use sutura_core::build::{Artifacts, BuildParams, RebuildParams, build, rebuild};
+use sutura_core::build::{BuildParams, RebuildParams, Recipe, rebuild};
 use sutura_core::control::Control;
+use sutura_core::edit::EditState;
 use sutura_core::mesh::TetMesh;
 use tokio::sync::oneshot;
 
 /// Tolerance that a build is finished to, if a later rebuild asks: its modes are far below.
 pub(crate) const DEFAULT_TOLERANCE: f64 = 1e-4;
 
-/// Builds the first generation of `session`, or takes an equal body that exists already.
+/// Builds the first generation of `session`, or takes an equal body that exists already, in memory or kept.
 pub(crate) fn run_build(
     session: &LiveSession,
     mesh: Arc<TetMesh>,
@@ -30,7 +31,8 @@ pub(crate) fn run_build(
 ) {
     let _span = tracing::info_span!("build", session = %session.id).entered();
     let control = TaskControl::reporting(cancel, session, interval).within(admits);
-    let body = catching("the build", || build_or_share(mesh, params, prepared, &control));
+    let recipe = Recipe::of_build(EditState::new(mesh, &params.fixed_vertices));
+    let body = catching("the build", || prepared.body(params, &recipe, &[], &control));
     let computed_in = control.now();
     match &body {
         Ok(body) => tracing::info!(
@@ -53,21 +55,6 @@ pub(crate) fn run_build(
             computed_in,
         })
     }));
-}
-
-fn build_or_share(
-    mesh: Arc<TetMesh>,
-    params: &BuildParams,
-    prepared: &PreparedBodies,
-    control: &dyn Control,
-) -> Result<Arc<Artifacts>, StoreError> {
-    if let Some(body) = prepared.find(&mesh, params) {
-        tracing::info!("an equal body is shared");
-        return Ok(body);
-    }
-    let body = Arc::new(build(mesh, params, control)?);
-    prepared.add(&body);
-    Ok(body)
 }
 
 /// Writes down what makes `next` again: before anybody hears of it.

@@ -24,7 +24,7 @@ use sutura_transport::testing as transport;
 pub type Target = (&'static str, fn(&[u8]));
 
 /// Every target.
-pub const TARGETS: [Target; 14] = [
+pub const TARGETS: [Target; 15] = [
     ("gmsh", gmsh),
     ("vega", vega),
     ("vtk_legacy", vtk_legacy),
@@ -37,6 +37,7 @@ pub const TARGETS: [Target; 14] = [
     ("journal", journal),
     ("records", records),
     ("mesh_blob", mesh_blob),
+    ("body", body),
     ("settings", settings),
     ("object", object),
 ];
@@ -160,18 +161,31 @@ pub fn journal(bytes: &[u8]) {
     store::read_journal(bytes);
 }
 
-/// A journal whose checksums are right, whatever its records say: each is a length (u16, little-endian) and
-/// as many bytes.
-pub fn records(bytes: &[u8]) {
+/// Parts of bytes: each is a length (u16, little-endian) and as many bytes.
+pub fn parts(bytes: &[u8]) -> Vec<&[u8]> {
     let mut rest = bytes;
-    let mut journal = Vec::new();
+    let mut parts = Vec::new();
     while let Some((length, behind)) = rest.split_first_chunk::<2>() {
         let length = usize::from(u16::from_le_bytes(*length)).min(behind.len());
-        let (record, behind) = behind.split_at(length);
-        journal.extend(store::framed(record));
+        let (part, behind) = behind.split_at(length);
+        parts.push(part);
         rest = behind;
     }
+    parts
+}
+
+/// A journal whose checksums are right, whatever its records say.
+pub fn records(bytes: &[u8]) {
+    let journal: Vec<u8> = parts(bytes).into_iter().flat_map(store::framed).collect();
     store::read_journal(&journal);
+}
+
+/// A prepared body of the data directory, its checksums right, whatever it says. The first byte tells whether it is
+/// a base body or a generation.
+pub fn body(bytes: &[u8]) {
+    if let [kind, contents @ ..] = bytes {
+        store::revive_body(kind % 2 == 0, &parts(contents));
+    }
 }
 
 /// A mesh of the data directory, with its checksum right.

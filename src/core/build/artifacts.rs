@@ -73,14 +73,10 @@ pub(super) struct Prepared {
     pub(super) seams: SeamCache,
 }
 
-/// Seams that grow while generations use them.
-pub(super) struct SeamCache(RwLock<Arc<Seams>>);
-
-impl SeamCache {
-    pub(super) fn new(seams: Seams) -> SeamCache {
-        SeamCache(RwLock::new(Arc::new(seams)))
-    }
-}
+/// Seams that grow while generations use them; none before somebody needs them
+/// ([`super::seams::present`]).
+#[derive(Default)]
+pub(super) struct SeamCache(RwLock<Option<Arc<Seams>>>);
 
 impl Prepared {
     /// Rigid modes (n×k).
@@ -93,16 +89,17 @@ impl Prepared {
         self.x[1].columns.as_ref()
     }
 
-    /// What is prepared now.
-    pub(super) fn seams(&self) -> Arc<Seams> {
+    /// What is prepared now, if anything is.
+    pub(super) fn known_seams(&self) -> Option<Arc<Seams>> {
         self.seams.0.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Puts larger seams in place; of two made at the same time the larger stays.
     pub(super) fn offer_seams(&self, seams: Arc<Seams>) {
         let mut kept = self.seams.0.write().unwrap_or_else(PoisonError::into_inner);
-        if (seams.len(), seams.cases().len()) > (kept.len(), kept.cases().len()) {
-            *kept = seams;
+        let size = |seams: &Seams| (seams.len(), seams.cases().len());
+        if kept.as_ref().is_none_or(|kept| size(&seams) > size(kept)) {
+            *kept = Some(seams);
         }
     }
 
@@ -257,9 +254,10 @@ impl Artifacts {
     }
     /// Those of `pairs` that neither a seam of the base body nor the base body itself holds.
     pub fn unprepared(&self, pairs: impl IntoIterator<Item = [u32; 2]>) -> Vec<[u32; 2]> {
-        let (seams, folded) = (self.prepared.seams(), self.prepared.state.folded());
+        let (seams, folded) = (self.prepared.known_seams(), self.prepared.state.folded());
         let is_missing = |pair: &[u32; 2]| {
-            seams.position(*pair).is_none() && !folded.contains_key(&sorted(*pair))
+            seams.as_ref().is_none_or(|seams| seams.position(*pair).is_none())
+                && !folded.contains_key(&sorted(*pair))
         };
         pairs.into_iter().filter(is_missing).collect()
     }
@@ -269,7 +267,7 @@ impl Artifacts {
     }
     /// Pairs that seams of the base body hold.
     pub fn n_prepared_pairs(&self) -> usize {
-        self.prepared.seams().len()
+        self.prepared.known_seams().map_or(0, |seams| seams.len())
     }
     /// Number of elastic modes kept.
     pub fn n_modes(&self) -> usize {
@@ -305,7 +303,7 @@ impl Artifacts {
             + base.stiffness.bytes()
             + base.factor.bytes()
             + base.x.iter().map(|x| linalg::bytes(&x.columns)).sum::<usize>()
-            + base.seams().bytes();
+            + base.known_seams().map_or(0, |seams| seams.bytes());
         (Arc::as_ptr(base).addr(), n_bytes)
     }
 

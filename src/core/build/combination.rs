@@ -61,19 +61,20 @@ impl Artifacts {
     /// The blocks that are prepared for further edits now: what bases of later generations are combined
     /// of while the edits stay inside the seams.
     pub fn prepared_blocks(&self) -> Vec<BlockName> {
-        let seams = self.prepared.seams();
-        let blocks = self.prepared.x.iter().chain(seams.blocks()).chain(&seams.cases().blocks);
+        let seams = self.prepared.known_seams();
+        let blocks =
+            self.prepared.x.iter().chain(seams.iter().flat_map(|seams| seams.all_blocks()));
         blocks.filter(|block| block.columns.ncols() > 0).map(BlockName::of).collect()
     }
 
     /// The columns of the block `id` over all vertices, vertex-major (3·n_vertices numbers each, fixed
     /// ones 0), one after the other, if this generation's basis or its base body has that block.
     pub fn block_columns(&self, id: u64) -> Option<impl ExactSizeIterator<Item = Vec<f64>> + '_> {
-        let seams = self.prepared.seams();
+        let seams = self.prepared.known_seams();
         let own = self.basis.dictionary().blocks().iter();
         let own = own.flat_map(|block| std::iter::once(block).chain(block.earlier()));
-        let mut all =
-            own.chain(&self.prepared.x).chain(seams.blocks()).chain(&seams.cases().blocks);
+        let prepared = seams.iter().flat_map(|seams| seams.all_blocks());
+        let mut all = own.chain(&self.prepared.x).chain(prepared);
         let block = all.find(|block| block.id == id)?.clone();
         let even = block.even_columns();
         Some((0..block.columns.ncols()).map(move |j| {

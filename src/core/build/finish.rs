@@ -13,7 +13,7 @@ use crate::edit::EditState;
 use crate::linalg;
 use crate::modes::AuditedSpectrum;
 use crate::modes::stitched::StitchMatrix;
-use crate::reduced;
+use crate::reduced::{self, FreeBody};
 use std::sync::{Arc, OnceLock};
 
 /// Poses for validation: this share of the training poses, and at least so many.
@@ -84,7 +84,12 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
 
     let Subspace { basis, stretch, .. } = &subspace;
     let (rule, cubature, trained_error) = match &params.cubature {
-        None => (Rule::exact(prepared.model.corners().len()), None, 0.0),
+        None => {
+            // As with a rule: whether rows come from these columns or from what they are combined of shows
+            // in their last bits.
+            subspace.basis.dense();
+            (Rule::exact(prepared.model.corners().len()), None, 0.0)
+        }
         Some(cubature) => {
             let fit = Fit::new(&prepared, &subspace, &weighing, cubature)?;
             let (rule, report, trained_error) = fit.rule(draft.reuse, &mut clock)?;
@@ -100,10 +105,6 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
     };
     clock.finish(Stage::Cubature)?;
 
-    // The six rigid motions of a body that nothing holds are those of the whole.
-    let is_free = draft.n_rigid_modes == 6 && state.base().fixed_vertices().is_empty();
-    let free = is_free
-        .then(|| Arc::new(reduced::free_body(&prepared.model, &prepared.mass, basis.dense())));
     // Cubature knows of tets alone: to it the stitches that the base body holds are stitches as others.
     let folded = StitchMatrix::new(&prepared.model, &prepared.state.folded_stitches());
     let folded = folded.transpose_times_combination(basis);
@@ -112,10 +113,11 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
         &prepared.model,
         &rule,
         basis,
-        stretch.as_ref(),
+        linalg::gram(stretch.as_ref(), stretch.as_ref()),
+        reduced::gravity_loads(&prepared.model, basis),
         params.damping,
         draft.n_rigid_modes,
-        free,
+        free_body(&prepared, basis, draft.n_rigid_modes),
     );
     clock.finish(Stage::Reduction)?;
     Ok(Artifacts {
@@ -139,6 +141,17 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
         state,
         warnings,
     })
+}
+
+/// The inertia of a body that nothing holds: its six rigid motions are those of the whole.
+pub(super) fn free_body(
+    prepared: &Prepared,
+    basis: &Combination,
+    n_rigid_modes: usize,
+) -> Option<Arc<FreeBody>> {
+    let is_free = n_rigid_modes == 6 && prepared.state.fixed_vertices().is_empty();
+    let free = || Arc::new(reduced::free_body(&prepared.model, &prepared.mass, basis.dense()));
+    is_free.then(free)
 }
 
 /// What the cubature rule of a draft would be fitted to, and what it would be judged by, for `examine`.

@@ -11,6 +11,7 @@ mod finish;
 mod params;
 mod recipe;
 mod seams;
+mod snapshot;
 mod span;
 mod spectrum;
 mod transfer;
@@ -22,40 +23,34 @@ pub use crate::cubature::Selection;
 pub use crate::modes::seams::SeamRecipe;
 pub use crate::reduced::RayleighDamping;
 pub use artifacts::{Artifacts, CubatureReport, CubatureSource};
+pub use base::BaseBody;
 pub use certificate::{Certificate, Verdict};
 pub use close::{ClosedPair, ClosingReport};
 pub use combination::{BasisCombination, BlockName};
 pub use params::{BuildError, BuildParams, CubatureParams, Method, RebuildParams};
 pub use recipe::{Recipe, remake};
 pub use seams::{check_seams, prepare_seams};
+pub use snapshot::{
+    BaseSnapshot, Columns, CubatureSnapshot, GenerationSnapshot, revive, revive_base,
+};
 pub use transfer::BasisDelta;
 
-use crate::assembly::FullModel;
-use crate::assembly::sparse::Pattern;
 use crate::control::{self, Cancelled, Control, Stage};
 use crate::cubature::{Rule, Samples};
-use crate::derivatives::{LOAD_CASE_TOLERANCE, SOLVE_TOLERANCE};
-use crate::dictionary::Block;
-use crate::edit::{BaseState, Edit, EditState, StitchId};
-use crate::factorization::SymbolicCholesky;
+use crate::derivatives::SOLVE_TOLERANCE;
+use crate::edit::{Edit, EditState, StitchId};
 use crate::mesh::TetMesh;
-use crate::modes::load_cases::LoadCases;
-use crate::modes::seams::{BaseModes, Seams};
 use crate::modes::stitched::{StitchMatrix, StitchedStiffness};
-use crate::modes::{AuditedSpectrum, LinearModes, rigid};
-use artifacts::{Origin, Prepared, SeamCache};
-use base::{base_for, bases_before};
+use crate::modes::{AuditedSpectrum, LinearModes};
+use artifacts::{Origin, Prepared};
+use base::{analyse, base_for, bases_before, prepare};
 use close::closed_shape;
 use derive::{Body, new_derivatives};
 use finish::{Draft, finish};
-use span::{DerivativeSet, Span};
+use span::Span;
 use spectrum::{Spectrum, lowest_spectrum};
-use std::sync::{Arc, OnceLock, Weak};
+use std::sync::{Arc, Weak};
 use std::time::Duration;
-
-/// Peak memory of a build, in factors of the size of the Cholesky factor, rounded up: 2.7 and 2.8 on bodies
-/// of 105 264 and 164 469 unknowns.
-const PEAK_FACTORS: usize = 3;
 
 /// Measures stages with the caller's clock.
 struct StageClock<'a> {
@@ -116,7 +111,7 @@ pub fn build(
     control: &dyn Control,
 ) -> Result<Artifacts, BuildError> {
     let mut clock = StageClock::start(control);
-    let draft = first_draft(mesh, params, &mut clock)?;
+    let draft = first_draft(mesh, params, &[], &mut clock)?;
     finish(draft, clock)
 }
 
@@ -129,14 +124,15 @@ pub fn examine_training<T>(
     control: &dyn Control,
     examine: impl FnOnce(&Samples<'_>, &Samples<'_>) -> T,
 ) -> Result<T, BuildError> {
-    let draft = first_draft(mesh, params, &mut StageClock::start(control))?;
+    let draft = first_draft(mesh, params, &[], &mut StageClock::start(control))?;
     finish::examined(draft, cubature, control, examine)
 }
 
-/// A body before its first edit, up to its derivatives.
+/// A body before its first edit, up to its derivatives. A base body that is among `kin` is not prepared again.
 fn first_draft(
     mesh: Arc<TetMesh>,
     params: &BuildParams,
+    kin: &[BaseBody],
     clock: &mut StageClock<'_>,
 ) -> Result<Draft, BuildError> {
     params::check(&mesh, params)?;
@@ -149,7 +145,14 @@ fn first_draft(
     }
     let state = EditState::new(mesh, &params.fixed_vertices);
     params::check_seams(state.base(), &params.seams)?;
-    let (prepared, derivatives) = prepare(state.base(), params, clock)?;
+    let (prepared, derivatives) = match kin.iter().find(|kin| kin.serves(params, state.base())) {
+        Some(BaseBody(base)) => {
+            let (derivatives, _) = seams::base_derivatives(base, clock.control)?;
+            clock.finish(Stage::Derivatives)?;
+            (base.clone(), derivatives)
+        }
+        None => prepare(state.base(), params, clock)?,
+    };
     let spectrum = prepared.spectrum.lowest(params.n_modes);
     let found = spectrum.eigenvalues.len();
     if found < params.n_modes {
@@ -171,101 +174,6 @@ fn first_draft(
         warnings,
         prepared,
     })
-}
-
-/// The base body of `state`, and its derivatives.
-fn prepare(
-    state: &BaseState,
-    params: &BuildParams,
-    clock: &mut StageClock<'_>,
-) -> Result<(Arc<Prepared>, DerivativeSet), BuildError> {
-    let materials = params::scaled_materials(state, params)?;
-    let fixed: Vec<u32> = state.fixed_vertices().iter().copied().collect();
-    let mesh = state.mesh().clone();
-    let model = FullModel::heterogeneous(mesh, &materials, &params.tet_stiffness, &fixed);
-    if model.n() == 0 {
-        return Err(BuildError::NothingFree);
-    }
-    let pairs: Vec<[u32; 2]> = state.folded().keys().copied().collect();
-    let folded = StitchMatrix::new(&model, &state.folded_stitches());
-    let pattern = Arc::new(model.pattern(&pairs));
-    let (symbolic, (mass, stiffness, rigid)) = rayon::join(
-        || analyse(&pattern, &model),
-        || {
-            let mass = model.mass(params.mass, &pattern);
-            let mut stiffness = model.rest_stiffness(&pattern);
-            folded.add_to(&mut stiffness);
-            let rigid = rigid::rigid_modes(&model, &mass);
-            (mass, stiffness, rigid)
-        },
-    );
-    let (symbolic, rigid) = (symbolic?, update::rigid_left(&folded, rigid?.as_ref())?);
-    let n_bytes = PEAK_FACTORS * symbolic.n_values() * size_of::<f64>();
-    if !clock.control.admits(n_bytes) {
-        return Err(BuildError::OverBudget { n_bytes });
-    }
-    clock.finish(Stage::Assembly)?;
-
-    let Spectrum { factor, sigma, modes, residuals } = lowest_spectrum(
-        &model,
-        &mass,
-        &stiffness,
-        rigid.as_ref(),
-        symbolic,
-        params.n_modes,
-        clock,
-    )?;
-    let kept = modes.lowest(params.n_modes);
-    let stitched = StitchedStiffness::new(&model, &stiffness, &factor, &[])?;
-    let body = Body {
-        model: &model,
-        mass: &mass,
-        stitched: &stitched,
-        sigma,
-        rigid: rigid.as_ref(),
-        tolerance: LOAD_CASE_TOLERANCE,
-    };
-    let count = params.n_derivative_modes.min(kept.eigenvalues.len());
-    let begin = clock.control.now();
-    let (set, loads) = new_derivatives(&body, &kept, Some(&modes), count, clock.control)?;
-    let column_time = clock.control.now().saturating_sub(begin) / set.pairs.len().max(1) as u32;
-    drop(stitched);
-    let base = BaseModes {
-        model: &model,
-        mass: &mass,
-        factor: &factor,
-        x: [rigid.as_ref(), modes.shapes.as_ref()],
-    };
-    let n_x = rigid.ncols() + modes.eigenvalues.len();
-    let cases =
-        LoadCases::none(n_x).with(&base, kept.lowest(count), loads.as_ref(), set.shapes.clone());
-    clock.finish(Stage::Derivatives)?;
-
-    let spectrum = AuditedSpectrum::converged(modes.eigenvalues, residuals);
-    let x = [Block::new(rigid), Block::new(modes.shapes)];
-    let prepared = Arc::new(Prepared {
-        params: params.clone(),
-        state: state.clone(),
-        model,
-        mass,
-        mass_inverse: OnceLock::new(),
-        stiffness,
-        factor,
-        sigma,
-        x,
-        spectrum,
-        column_time,
-        seams: SeamCache::new(Seams::new(cases)),
-    });
-    Ok((prepared, set))
-}
-
-/// Orders and analyses the stiffness's pattern: work for one thread, beside the assembly.
-fn analyse(pattern: &Arc<Pattern>, model: &FullModel) -> Result<Arc<SymbolicCholesky>, BuildError> {
-    match SymbolicCholesky::new(pattern.clone(), 3) {
-        Ok(symbolic) => Ok(Arc::new(symbolic)),
-        Err(error) => Err(BuildError::of_factorization(error, model)),
-    }
 }
 
 /// Applies `edits` to `previous` and returns the next generation with the names of the stitches
@@ -293,39 +201,31 @@ pub fn rebuild(
     let base = base_for(previous, state.base(), &mut clock)?;
     let earlier = bases_before(previous, &base);
     let reuse = previous.cubature.map(|_| (previous.rule.clone(), previous.trained_error));
-    let plan = Plan {
-        method: params.method,
-        tolerance: params.tolerance,
-        reuse,
-        seams: base.seams(),
-        closings,
-    };
+    let plan =
+        Plan { method: params.method, tolerance: params.tolerance, reuse, seams: None, closings };
     Ok((update_base(base, earlier, state, plan, clock)?, ids))
 }
 
-/// A base body that holds stitches.
-pub struct StitchedBase(Arc<Prepared>);
-
 /// Prepares a base body that holds all stitches of `body`. Edits may go on meanwhile.
-pub fn prepare_base(body: &Artifacts, control: &dyn Control) -> Result<StitchedBase, BuildError> {
+pub fn prepare_base(body: &Artifacts, control: &dyn Control) -> Result<BaseBody, BuildError> {
     let mut clock = StageClock::start(control);
-    base_for(body, body.state.rebased().base(), &mut clock).map(StitchedBase)
+    base_for(body, body.state.rebased().base(), &mut clock).map(BaseBody)
 }
 
 /// `previous` as an update of `base`: the same body, to which edits add less. `None` if edits have come in
 /// between after which `base` serves no longer ([`EditState::on_base`]).
 pub fn rebase(
     previous: &Artifacts,
-    base: &StitchedBase,
+    base: &BaseBody,
     control: &dyn Control,
 ) -> Result<Option<Artifacts>, BuildError> {
-    let StitchedBase(base) = base;
+    let BaseBody(base) = base;
     let Some(state) = previous.state.on_base(&base.state) else { return Ok(None) };
     let plan = Plan {
         method: Method::Flexibility,
         tolerance: previous.origin.tolerance,
         reuse: previous.cubature.map(|_| (previous.rule.clone(), previous.trained_error)),
-        seams: base.seams(),
+        seams: None,
         closings: previous.closings.clone(),
     };
     let earlier = bases_before(previous, base);
@@ -338,8 +238,8 @@ struct Plan {
     tolerance: f64,
     /// The cubature rule in use, and its validation error when it was trained.
     reuse: Option<(Rule, f64)>,
-    /// What is prepared.
-    seams: Arc<Seams>,
+    /// The seams that there were when it was made first; `None` for those that there are now.
+    seams: Option<Arc<SeamRecipe>>,
     closings: Vec<ClosingReport>,
 }
 
@@ -351,16 +251,22 @@ fn update_base(
     mut clock: StageClock<'_>,
 ) -> Result<Artifacts, BuildError> {
     let Plan { method, tolerance, reuse, seams, closings } = plan;
-    let origin = Origin {
+    let there = || base.known_seams().map(|seams| seams.recipe().clone()).unwrap_or_default();
+    let mut origin = Origin {
         method: Some(method),
         tolerance,
         reuse: reuse.clone(),
-        seams: seams.recipe().clone(),
+        seams: seams.clone().unwrap_or_else(there),
         skipped: Vec::new(),
     };
     let draft = match method {
         Method::FromScratch => from_scratch(base, state, &mut clock)?,
         Method::Flexibility => {
+            let seams = match seams {
+                Some(recipe) => seams::remake(&base, &recipe, clock.control)?,
+                None => seams::present(&base, clock.control)?,
+            };
+            origin.seams = seams.recipe().clone();
             update::by_flexibility(base, state, reuse, seams, tolerance, &mut clock)?
         }
         Method::LowRank => update::by_low_rank(base, state, reuse, &mut clock)?,

@@ -128,6 +128,8 @@ pub enum BuildError {
     NotConverged { what: &'static str, detail: String },
     #[error("{what} produced a number that is not finite")]
     NonFinite { what: &'static str },
+    #[error("what was kept of the body does not belong to it: {what}")]
+    Misfit { what: &'static str },
 }
 
 impl BuildError {

@@ -2,15 +2,16 @@
 //! parameters of its build: without the generations before it, and without what the clock and the
 //! work in the background did when it was made first.
 
-use super::artifacts::{Artifacts, Prepared};
+use super::artifacts::Artifacts;
+use super::base::{self, BaseBody};
 use super::close::ClosingReport;
 use super::params::{BuildError, BuildParams, Method};
-use super::{Plan, StageClock, build, prepare, seams, update_base};
+use super::{Plan, StageClock, finish, first_draft, update_base};
 use crate::control::Control;
 use crate::cubature::Rule;
 use crate::edit::EditState;
 use crate::modes::seams::SeamRecipe;
-use std::sync::{Arc, Weak};
+use std::sync::Arc;
 
 /// Everything that decides about a generation, beside the parameters of its build.
 #[derive(Clone, Debug, PartialEq)]
@@ -66,42 +67,45 @@ impl Artifacts {
     }
 }
 
-/// Makes a generation again. A base body that one of `kin` has is not prepared again.
+/// Makes a generation again. A base body that is among `kin` is not prepared again.
 pub fn remake(
     params: &BuildParams,
     recipe: &Recipe,
-    kin: &[Arc<Artifacts>],
+    kin: &[BaseBody],
     control: &dyn Control,
 ) -> Result<Artifacts, BuildError> {
     let base_state = recipe.state.base();
+    let mut clock = StageClock::start(control);
     let Some(method) = recipe.method else {
-        return build(base_state.mesh().clone(), params, control);
+        let draft = first_draft(base_state.mesh().clone(), params, kin, &mut clock)?;
+        return finish(draft, clock);
     };
     check(recipe)?;
-    let mut clock = StageClock::start(control);
     clock.decided = Some(recipe.skipped.clone().into_iter());
-    let known = || kin.iter().map(|body| &body.prepared).filter(|base| base.params == *params);
-    let base = match known().find(|base| base.state == *base_state) {
-        Some(base) => base.clone(),
-        None => prepare(base_state, params, &mut clock)?.0,
+    let base = match kin.iter().find(|kin| kin.serves(params, base_state)) {
+        Some(BaseBody(base)) => base.clone(),
+        None => base::prepare(base_state, params, &mut clock)?.0,
     };
-    let earlier: Vec<Weak<Prepared>> =
-        known().filter(|other| !Arc::ptr_eq(other, &base)).map(Arc::downgrade).collect();
+    let earlier = base::others(&base, kin);
     let plan = Plan {
         method,
         tolerance: recipe.tolerance,
         reuse: recipe.reuse.clone(),
-        seams: seams::remake(&base, &recipe.seams, control)?,
+        seams: Some(recipe.seams.clone()),
         closings: recipe.closings.clone(),
     };
     update_base(base, earlier, recipe.state.clone(), plan, clock)
 }
 
 /// Refuses what could not have been made, so that nothing is indexed beyond its end.
-fn check(recipe: &Recipe) -> Result<(), BuildError> {
+pub(super) fn check(recipe: &Recipe) -> Result<(), BuildError> {
     super::params::check_fraction("tolerance", recipe.tolerance)?;
     let n_tets = recipe.state.base().mesh().tets().len();
-    let Some((rule, trained_error)) = &recipe.reuse else { return Ok(()) };
+    recipe.reuse.as_ref().map_or(Ok(()), |(rule, error)| check_rule(rule, *error, n_tets))
+}
+
+/// Refuses a rule, and its validation error when it was trained, that no training could have made.
+pub(super) fn check_rule(rule: &Rule, trained_error: f64, n_tets: usize) -> Result<(), BuildError> {
     let refuse = |name, value, rule| Err(BuildError::BadParameter { name, value, rule });
     if rule.tets.len() != rule.weights.len() {
         return refuse("cubature weights", rule.weights.len() as f64, "as many as points");
@@ -109,7 +113,7 @@ fn check(recipe: &Recipe) -> Result<(), BuildError> {
     if let Some(tet) = rule.tets.iter().find(|tet| **tet as usize >= n_tets) {
         return refuse("cubature point", f64::from(*tet), "a tet of the mesh");
     }
-    let numbers = rule.weights.iter().chain([trained_error]);
+    let numbers = rule.weights.iter().chain([&trained_error]);
     match numbers.copied().find(|x| !(*x >= 0.0 && x.is_finite())) {
         Some(value) => refuse("cubature weight", value, "finite and not negative"),
         None => Ok(()),

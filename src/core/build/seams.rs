@@ -4,14 +4,16 @@ use super::StageClock;
 use super::artifacts::{Artifacts, Prepared};
 use super::derive::{Body, new_derivatives};
 use super::params::{self, BuildError};
-use super::span::combine;
+use super::span::{DerivativeSet, combine};
 use crate::control::{Control, Stage};
 use crate::derivatives::LOAD_CASE_TOLERANCE;
 use crate::edit::Stitch;
 use crate::modes::LinearModes;
+use crate::modes::load_cases::LoadCases;
 use crate::modes::prepared::PreparedStitches;
 use crate::modes::seams::{BaseModes, SeamRecipe, Seams};
 use crate::modes::stitched::StitchedStiffness;
+use faer::{Mat, MatRef};
 use std::sync::Arc;
 
 /// Stiffness of the springs that close a seam for its load cases, in N/m, where no stitch in force tells
@@ -31,7 +33,11 @@ pub fn prepare_seams(
 ) -> Result<(), BuildError> {
     let prepared = &body.prepared;
     check_seams(body, pairs)?;
-    let seams = prepared.seams();
+    let mut seams = present(prepared, control)?;
+    if seams.is_empty() {
+        // Of a body that was read instead of made: as they were.
+        seams = remake(prepared, &body.origin.seams, control)?;
+    }
     let missing: Vec<[u32; 2]> =
         pairs.iter().copied().filter(|pair| seams.position(*pair).is_none()).collect();
     if missing.is_empty() {
@@ -46,6 +52,51 @@ pub fn prepare_seams(
 /// Refuses pairs that no stitch could join.
 pub fn check_seams(body: &Artifacts, pairs: &[[u32; 2]]) -> Result<(), BuildError> {
     params::check_seams(&body.prepared.state, pairs)
+}
+
+/// What is prepared: at least the load cases of the base body as it is, which are made now if there are none.
+pub(super) fn present(
+    prepared: &Prepared,
+    control: &dyn Control,
+) -> Result<Arc<Seams>, BuildError> {
+    if let Some(seams) = prepared.known_seams() {
+        return Ok(seams);
+    }
+    let (set, loads) = base_derivatives(prepared, control)?;
+    let seams = Arc::new(unseamed(prepared, &set, loads.as_ref()));
+    prepared.offer_seams(seams.clone());
+    Ok(prepared.known_seams().unwrap_or(seams))
+}
+
+/// Modal derivatives of the base body as it is, with their loads (n×p).
+pub(super) fn base_derivatives(
+    prepared: &Prepared,
+    control: &dyn Control,
+) -> Result<(DerivativeSet, Mat<f64>), BuildError> {
+    let Prepared { params, model, mass, factor, sigma, spectrum, .. } = prepared;
+    let eigenvalues = spectrum.eigenvalues.clone();
+    let modes = LinearModes { shapes: prepared.modes().to_owned(), eigenvalues };
+    let stitched = StitchedStiffness::new(model, &prepared.stiffness, factor, &[])?;
+    let body = Body {
+        model,
+        mass,
+        stitched: &stitched,
+        sigma: *sigma,
+        rigid: prepared.rigid(),
+        tolerance: LOAD_CASE_TOLERANCE,
+    };
+    let count = params.n_derivative_modes.min(params.n_modes);
+    new_derivatives(&body, &modes, Some(&modes), count, control)
+}
+
+/// No pairs, beside the load cases that `set` solves for `loads`.
+pub(super) fn unseamed(prepared: &Prepared, set: &DerivativeSet, loads: MatRef<'_, f64>) -> Seams {
+    let count = prepared.params.n_derivative_modes.min(prepared.params.n_modes);
+    let eigenvalues = prepared.spectrum.eigenvalues.clone();
+    let modes = LinearModes { shapes: prepared.modes().to_owned(), eigenvalues }.lowest(count);
+    let base = base_modes(prepared);
+    let n_x = prepared.rigid().ncols() + prepared.modes().ncols();
+    Seams::new(LoadCases::none(n_x).with(&base, modes, loads, set.shapes.clone()))
 }
 
 /// Adds `pairs` to `seams`, and load cases of the body with all of them closed, as stiffly as
@@ -72,7 +123,7 @@ pub(super) fn remake(
     recipe: &SeamRecipe,
     control: &dyn Control,
 ) -> Result<Arc<Seams>, BuildError> {
-    let present = prepared.seams();
+    let present = present(prepared, control)?;
     if **present.recipe() == *recipe {
         return Ok(present);
     }

@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 /// Elastic modes computed beyond those kept: the highest of a set are always the least exact, and
 /// an update starts from all of them.
-const GUARD_MODES: usize = 14;
+pub(super) const GUARD_MODES: usize = 14;
 
 /// A factorization of K + σM with the lowest modes, guards included.
 pub(super) struct Spectrum {
@@ -38,13 +38,7 @@ pub(super) fn lowest_spectrum(
     n_modes: usize,
     clock: &mut StageClock<'_>,
 ) -> Result<Spectrum, BuildError> {
-    let factorize = |sigma: f64| {
-        match sigma {
-            0.0 => SparseCholesky::with_symbolic(symbolic.clone(), stiffness),
-            _ => SparseCholesky::with_symbolic(symbolic.clone(), &shifted(stiffness, sigma, mass)),
-        }
-        .map_err(|error| BuildError::of_factorization(error, model))
-    };
+    let factorize = |sigma: f64| factorized(model, mass, stiffness, symbolic.clone(), sigma);
     let mut sigma = if rigid.ncols() == 0 {
         0.0
     } else {
@@ -73,6 +67,21 @@ pub(super) fn lowest_spectrum(
         }
     }
     Ok(Spectrum { factor, sigma, modes, residuals })
+}
+
+/// K + σM, factorized by the analysis of K's pattern.
+pub(super) fn factorized(
+    model: &FullModel,
+    mass: &Mass,
+    stiffness: &BlockMatrix,
+    symbolic: Arc<SymbolicCholesky>,
+    sigma: f64,
+) -> Result<SparseCholesky, BuildError> {
+    match sigma {
+        0.0 => SparseCholesky::with_symbolic(symbolic, stiffness),
+        _ => SparseCholesky::with_symbolic(symbolic, &shifted(stiffness, sigma, mass)),
+    }
+    .map_err(|error| BuildError::of_factorization(error, model))
 }
 
 /// tr(K)/tr(M): the mean eigenvalue, far above the lowest.

@@ -199,6 +199,11 @@ impl Seams {
         self.blocks.iter().map(|(_, block)| block)
     }
 
+    /// The same, and behind them those of the load cases.
+    pub fn all_blocks(&self) -> impl Iterator<Item = &Arc<Block>> {
+        self.blocks().chain(&self.cases.blocks)
+    }
+
     /// Where the columns of the pair at `position` lie: its block, its first column in S₁ there, and
     /// that in S₂.
     pub fn columns_of(&self, position: usize) -> (usize, usize, usize) {

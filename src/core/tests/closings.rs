@@ -33,7 +33,7 @@ fn apart() -> BarMesh {
 }
 
 /// The incised bar with its incision gaping like a wedge, `width_m` wide at the surface.
-fn gaping(width_m: f64) -> BarMesh {
+pub(crate) fn gaping(width_m: f64) -> BarMesh {
     let bar = bar(Cut::HalfDepth);
     let sides = [0, 1].map(|side| bar.pairs.iter().map(|p| p[side]).collect::<BTreeSet<u32>>());
     moved(&bar, |v, x| {
@@ -52,7 +52,7 @@ fn next(previous: &Artifacts, edits: &[Edit], method: Method) -> Artifacts {
     build::rebuild(previous, edits, &params, &Uncontrolled).unwrap().0
 }
 
-fn close(pairs: &[[u32; 2]]) -> Edit {
+pub(crate) fn close(pairs: &[[u32; 2]]) -> Edit {
     Edit::Close { pairs: pairs.to_vec(), stiffness_n_m: STITCH_N_M, max_gap_m: None }
 }
 

@@ -7,17 +7,17 @@ use sutura_core::build::{self, Artifacts, BuildError, BuildParams, CubatureParam
 use sutura_core::build::{RebuildParams, Recipe};
 use sutura_core::control::Uncontrolled;
 use sutura_core::edit::{Edit, EditState};
-use sutura_core::testing::Cut;
+use sutura_core::testing::{BarMesh, Cut};
 
 fn rebuilt(previous: &Artifacts, edits: &[Edit], params: &RebuildParams) -> Artifacts {
     build::rebuild(previous, edits, params, &Uncontrolled).unwrap().0
 }
 
-fn bits(numbers: impl IntoIterator<Item = f64>) -> Vec<u64> {
+pub(crate) fn bits(numbers: impl IntoIterator<Item = f64>) -> Vec<u64> {
     numbers.into_iter().map(f64::to_bits).collect()
 }
 
-fn assert_same(made: &Artifacts, again: &Artifacts, name: &str) {
+pub(crate) fn assert_same(made: &Artifacts, again: &Artifacts, name: &str) {
     let spectrum = |body: &Artifacts| bits(body.eigenvalues_per_s2().iter().copied());
     assert_eq!(spectrum(made), spectrum(again), "{name}");
     let basis = |body: &Artifacts| {
@@ -38,7 +38,7 @@ fn assert_same(made: &Artifacts, again: &Artifacts, name: &str) {
 }
 
 /// A recipe whose mesh and state have been taken apart and put together again.
-fn through_parts(recipe: Recipe) -> Recipe {
+pub(crate) fn through_parts(recipe: Recipe) -> Recipe {
     let state = &recipe.state;
     let mesh = state.base().mesh();
     let (vertices, tets) = (mesh.vertices().to_vec(), mesh.tets().to_vec());
@@ -54,8 +54,8 @@ fn through_parts(recipe: Recipe) -> Recipe {
     Recipe { state: state.unwrap(), ..recipe }
 }
 
-#[test]
-fn every_generation_can_be_made_again_alone() {
+/// The bar of the tests, and a build of it with a cubature rule.
+pub(crate) fn trained_bar() -> (BarMesh, BuildParams) {
     let bar = bar(Cut::HalfDepth);
     let cubature = Some(CubatureParams {
         n_points: 30,
@@ -65,7 +65,12 @@ fn every_generation_can_be_made_again_alone() {
         selection: Default::default(),
     });
     let params = BuildParams { basis_size: 16, cubature, ..params(&bar, 10) };
-    let body = build::build(bar.mesh.clone(), &params, &Uncontrolled).unwrap();
+    (bar, params)
+}
+
+/// A line of generations of it, of every kind that there is.
+pub(crate) fn line(bar: &BarMesh, params: &BuildParams) -> Vec<(&'static str, Artifacts)> {
+    let body = build::build(bar.mesh.clone(), params, &Uncontrolled).unwrap();
     let (some, rest) = bar.pairs.split_at(6);
     let plain = by(Method::Flexibility);
     let hurried = RebuildParams { deadline: Some(Duration::ZERO), ..plain };
@@ -94,17 +99,23 @@ fn every_generation_can_be_made_again_alone() {
     add("another base body", &[scale], &plain, &bar.pairs);
     add("inside its seam", &stitch(some, STITCH_N_M), &plain, &[]);
     add("from scratch", &stitch(rest, STITCH_N_M), &by(Method::FromScratch), &[]);
+    line
+}
 
+#[test]
+fn every_generation_can_be_made_again_alone() {
+    let (bar, params) = trained_bar();
+    let line = line(&bar, &params);
     // Each alone, then all of them one after another, which share what they can.
     for (name, made) in &line {
         let again = build::remake(&params, &through_parts(made.recipe()), &[], &Uncontrolled);
         assert_same(made, &again.unwrap(), name);
     }
-    let mut kin: Vec<Arc<Artifacts>> = Vec::new();
+    let mut kin = Vec::new();
     for (name, made) in line.iter().rev() {
         let again = build::remake(&params, &made.recipe(), &kin, &Uncontrolled).unwrap();
         assert_same(made, &again, name);
-        kin.push(Arc::new(again));
+        kin.push(again.base_body());
     }
 }
 

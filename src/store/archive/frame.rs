@@ -29,13 +29,33 @@ pub(crate) fn hex(digest: &Digest) -> String {
 /// A record's bytes.
 pub(crate) fn frame(contents: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(HEADER_BYTES + contents.len());
+    add_frame(&mut bytes, contents);
+    bytes
+}
+
+/// Adds a record's bytes to those before it.
+pub(crate) fn add_frame(bytes: &mut Vec<u8>, contents: &[u8]) {
+    let begin = bytes.len();
     bytes.extend(MAGIC);
     bytes.extend(VERSION.to_le_bytes());
     bytes.extend((contents.len() as u64).to_le_bytes());
-    let sum: Digest = Sha256::new().chain_update(&bytes).chain_update(contents).finalize().into();
+    let sum = Sha256::new().chain_update(&bytes[begin..]).chain_update(contents).finalize();
     bytes.extend(sum);
     bytes.extend(contents);
-    bytes
+}
+
+/// The contents of records of this version that lie one behind the other, if there is nothing else.
+pub(crate) fn sequence(mut bytes: &[u8]) -> Option<Vec<&[u8]>> {
+    let mut found = Vec::new();
+    while !bytes.is_empty() {
+        let (version, contents) = first_frame(bytes)?;
+        if version != VERSION {
+            return None;
+        }
+        found.push(contents);
+        bytes = &bytes[HEADER_BYTES + contents.len()..];
+    }
+    Some(found)
 }
 
 /// What a blob of records holds.
@@ -129,6 +149,25 @@ mod tests {
             expected.remove(hit.unwrap());
             assert_eq!(found.whole, expected, "bit {bit}");
             assert_eq!(found.n_damaged, usize::from(hit != Some(2)), "bit {bit}");
+        }
+    }
+
+    #[test]
+    fn a_sequence_is_whole_or_nothing() {
+        let records: [&[u8]; 3] = [b"first", b"", b"the third one"];
+        let mut bytes = Vec::new();
+        records.iter().for_each(|record| add_frame(&mut bytes, record));
+        assert_eq!(sequence(&bytes).unwrap(), records);
+        assert_eq!(sequence(&[]).unwrap(), [b""; 0]);
+        let ends = records.map(|record| HEADER_BYTES + record.len());
+        let ends = [0, ends[0], ends[0] + ends[1]];
+        for length in (1..bytes.len()).filter(|length| !ends.contains(length)) {
+            assert!(sequence(&bytes[..length]).is_none(), "{length}");
+        }
+        for bit in 0..8 * bytes.len() {
+            let mut damaged = bytes.clone();
+            damaged[bit / 8] ^= 1 << (bit % 8);
+            assert!(sequence(&damaged).is_none(), "bit {bit}");
         }
     }
 

@@ -5,6 +5,8 @@
 //! last ones are enough, and a damaged one costs its own generation alone. `meshes/<sha-256>` are
 //! meshes, under the name of their contents, shared by the sessions that name them.
 //!
+//! `bodies/<sha-256>` are prepared bodies ([`snapshot`]): what makes a restoration quick, and no more.
+//!
 //! A session exists while its journal does. Meshes are written before the journal that names them and
 //! deleted after it.
 //!
@@ -12,14 +14,17 @@
 //! whether another daemon's session names a mesh cannot be known: there each session has meshes of its own,
 //! `meshes/<id>/<sha-256>`.
 
+mod bodies;
 pub(crate) mod frame;
 pub(crate) mod record;
+pub(crate) mod snapshot;
 
 use crate::error::StoreError;
 use crate::metrics;
 use crate::session::{Generation, MeshSize, SessionId};
 use crate::simulation::SimulationConfig;
 use crate::storage::{Entry, Storage, StorageError};
+use bodies::Bodies;
 use frame::Digest;
 use record::{
     GenerationRecord, MeshRecord, ParamsRecord, Record, SessionRecord, SimulationRecord,
@@ -50,6 +55,7 @@ pub(crate) struct Archive {
     storage: Arc<dyn Storage>,
     /// Locked while a mesh is written or deleted, so that none is deleted that is about to be named.
     meshes: Mutex<Meshes>,
+    bodies: Bodies,
 }
 
 #[derive(Debug, Default)]
@@ -132,11 +138,14 @@ fn unwritable(error: Unreadable) -> StoreError {
 }
 
 impl Archive {
-    /// Finds every session, and clears away meshes that none of them names.
+    /// Finds every session, and clears away meshes and bodies that none of them names. Bodies may take up
+    /// `max_body_bytes`.
     pub(crate) fn open(
         storage: Arc<dyn Storage>,
+        max_body_bytes: u64,
     ) -> Result<(Arc<Archive>, Vec<Found>), StorageError> {
-        let archive = Arc::new(Archive { storage, meshes: Mutex::default() });
+        let bodies = Bodies::new(storage.clone(), max_body_bytes);
+        let archive = Arc::new(Archive { storage, meshes: Mutex::default(), bodies });
         let mut found = Vec::new();
         for entry in archive.storage.own(SESSIONS)? {
             let Some(id) = session_of(&entry.name, SESSIONS) else {
@@ -148,11 +157,13 @@ impl Archive {
                 found.push(Found { modified: entry.modified, ..session });
             }
         }
+        let all_are_read = found.iter().all(|found| found.contents.is_ok());
         if archive.storage.is_shared() {
             archive.sweep_orphans()?;
-        } else if found.iter().all(|found| found.contents.is_ok()) {
+        } else if all_are_read {
             archive.sweep()?;
         }
+        archive.bodies.find(all_are_read)?;
         Ok((archive, found))
     }
 
@@ -188,6 +199,7 @@ impl Archive {
         let contents = self::read(&name, &read);
         if let Ok(contents) = &contents {
             self.lock().use_meshes(id, contents.meshes());
+            self.use_bodies_of(id, contents);
         }
         let n_generations = contents.as_ref().map_or(0, |c| c.generations.len());
         let journal = Journal::new(self, id, read.end as u64, n_generations);
@@ -268,7 +280,7 @@ impl Archive {
         if !seams.is_empty() {
             bytes.extend(framed(&Record::Seams(seams.clone()))?);
         }
-        if let Err(error) = self.storage.begin(&journal_name(id), &bytes) {
+        if let Err(error) = self.with_room(|| self.storage.begin(&journal_name(id), &bytes)) {
             // A shared one may have heard all the same: its journal, if it comes to be, finds its mesh.
             if !self.is_shared() {
                 self.forget(id);
@@ -280,6 +292,7 @@ impl Archive {
             journal.delete()?;
             return Err(StoreError::Cancelled);
         }
+        journal.use_bodies(generations);
         Ok(journal)
     }
 
@@ -296,17 +309,15 @@ impl Archive {
     /// The name under which the mesh is kept, from now on if it was not yet.
     fn mesh_name_of(&self, id: SessionId, mesh: &Arc<TetMesh>) -> Result<Digest, StoreError> {
         let mut meshes = self.lock();
-        let known = meshes.known.iter().find(|(known, _)| known.as_ptr() == Arc::as_ptr(mesh));
-        // A pointer is not given to another mesh while somebody holds a weak one.
-        let known = known.map(|(_, name)| *name);
         let user = self.is_shared().then_some(id);
-        let name = match known.filter(|name| meshes.has(name, user)) {
+        let name = match meshes.known_name(mesh).filter(|name| meshes.has(name, user)) {
             Some(name) => name,
             None => {
                 let contents = record::encode(&MeshRecord::new(mesh)).map_err(unwritable)?;
                 let name = frame::digest(&contents);
                 if !meshes.has(&name, user) {
-                    self.storage.put(&self.mesh_name(id, &name), &frame::frame(&contents))?;
+                    let bytes = frame::frame(&contents);
+                    self.with_room(|| self.storage.put(&self.mesh_name(id, &name), &bytes))?;
                     meshes.damaged.remove(&name);
                 }
                 meshes.known.retain(|(known, _)| known.strong_count() > 0);
@@ -353,8 +364,19 @@ impl Archive {
         mesh
     }
 
-    /// Clears away the meshes that only this session named.
+    /// Writes something that cannot be made again: bodies, which can, make room for it.
+    fn with_room(&self, write: impl Fn() -> Result<(), StorageError>) -> Result<(), StorageError> {
+        loop {
+            match write() {
+                Err(error) if error.is_full() && self.bodies.give_way() => {}
+                written => return written,
+            }
+        }
+    }
+
+    /// Clears away the meshes and bodies that only this session named.
     fn forget(&self, id: SessionId) {
+        self.bodies.set_used(id, BTreeSet::new());
         let mut meshes = self.lock();
         for name in meshes.stop_using(id, self.is_shared()) {
             if let Err(error) = self.storage.delete(&self.mesh_name(id, &name)) {
@@ -366,6 +388,13 @@ impl Archive {
 }
 
 impl Meshes {
+    /// The name of a mesh in memory, once it was kept.
+    fn known_name(&self, mesh: &Arc<TetMesh>) -> Option<Digest> {
+        // A pointer is not given to another mesh while somebody holds a weak one.
+        let known = self.known.iter().find(|(known, _)| known.as_ptr() == Arc::as_ptr(mesh));
+        known.map(|(_, name)| *name)
+    }
+
     /// Whether the mesh is there for any session, or for this `user`.
     fn has(&self, name: &Digest, user: Option<SessionId>) -> bool {
         let users = self.users.get(name);
@@ -490,7 +519,8 @@ impl Journal {
         let mut tail = self.lock();
         self.check(&tail)?;
         let begun = Instant::now();
-        let appended = self.archive.storage.append(&journal_name(self.id), tail.end, &bytes);
+        let append = || self.archive.storage.append(&journal_name(self.id), tail.end, &bytes);
+        let appended = self.archive.with_room(append);
         self.heed(&mut tail, appended)?;
         metrics::journal_written(begun.elapsed());
         tail.end += bytes.len() as u64;
@@ -579,7 +609,8 @@ impl Journal {
         for record in &records {
             bytes.extend(framed(record)?);
         }
-        let written = self.archive.storage.rewrite(&journal_name(self.id), &bytes);
+        let rewrite = || self.archive.storage.rewrite(&journal_name(self.id), &bytes);
+        let written = self.archive.with_room(rewrite);
         self.heed(&mut tail, written)?;
         *tail = Tail { end: bytes.len() as u64, n_generations, ..*tail };
         Ok(())

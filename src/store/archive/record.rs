@@ -349,10 +349,10 @@ impl MethodRecord {
 #[derive(Serialize, Deserialize)]
 pub(crate) struct RecipeRecord {
     pub(crate) mesh: Digest,
-    fixed_vertices: Vec<u32>,
-    stiffness_factors: Vec<(i64, f64)>,
+    pub(super) fixed_vertices: Vec<u32>,
+    pub(super) stiffness_factors: Vec<(i64, f64)>,
     stitches: Vec<StitchRecord>,
-    folded: Vec<([u32; 2], f64)>,
+    pub(super) folded: Vec<([u32; 2], f64)>,
     next_stitch_id: u64,
     method: Option<MethodRecord>,
     tolerance: f64,
@@ -417,7 +417,7 @@ impl GenerationRecord {
 }
 
 impl RecipeRecord {
-    fn new(recipe: &Recipe, mesh: Digest) -> RecipeRecord {
+    pub(super) fn new(recipe: &Recipe, mesh: Digest) -> RecipeRecord {
         let Recipe { state, method, tolerance, reuse, seams, skipped, closings } = recipe;
         let stitch = |stitch: &Stitch| {
             let Stitch { id, pair, stiffness_n_m } = *stitch;
@@ -446,6 +446,28 @@ impl RecipeRecord {
             seam_closing_stiffness_n_m: seams.closing_stiffness_n_m,
             skipped: skipped.clone(),
             closings: closings.iter().map(ClosingRecord::new).collect(),
+        }
+    }
+
+    /// Of a body as it is built.
+    pub(super) fn of_build(mesh: Digest, params: &ParamsRecord) -> RecipeRecord {
+        let mut fixed_vertices = params.fixed_vertices.clone();
+        fixed_vertices.sort_unstable();
+        fixed_vertices.dedup();
+        RecipeRecord {
+            mesh,
+            fixed_vertices,
+            stiffness_factors: Vec::new(),
+            stitches: Vec::new(),
+            folded: Vec::new(),
+            next_stitch_id: 0,
+            method: None,
+            tolerance: 0.0,
+            reuse: None,
+            seam_groups: Vec::new(),
+            seam_closing_stiffness_n_m: 0.0,
+            skipped: Vec::new(),
+            closings: Vec::new(),
         }
     }
 

@@ -195,8 +195,8 @@ impl Storage for LocalFiles {
             .into_iter()
             .filter_map(|(path, metadata)| {
                 let name = path.strip_prefix(&self.root).ok()?.to_str()?.to_owned();
-                let modified = metadata.modified().ok();
-                (!name.ends_with(TEMPORARY)).then_some(Entry { name, modified })
+                let (modified, n_bytes) = (metadata.modified().ok(), metadata.len());
+                (!name.ends_with(TEMPORARY)).then_some(Entry { name, modified, n_bytes })
             })
             .collect();
         entries.sort_by(|a, b| a.name.cmp(&b.name));

@@ -82,6 +82,8 @@ pub struct Entry {
     pub name: String,
     /// When it was written last, if that is known.
     pub modified: Option<SystemTime>,
+    /// Its bytes.
+    pub n_bytes: u64,
 }
 
 /// Why the storage did not do what it was asked for.
