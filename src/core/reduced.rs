@@ -16,18 +16,26 @@ pub use sutura_reduced::*;
 /// Points whose rows are gathered at a time.
 const POINTS_PER_TASK: usize = 256;
 
-/// Tables for `rule` in `basis`; `stitch_stiffness` is UᵀAAᵀU (r×r), `gravity` are the loads of
-/// [`gravity_loads`].
+/// What of a reduced model is not summed over points.
+pub(crate) struct Whole {
+    /// UᵀAAᵀU (r×r).
+    pub(crate) stitch_stiffness: Mat<f64>,
+    /// Loads of unit gravity along each axis (r×3): [`gravity_loads`].
+    pub(crate) gravity: Mat<f64>,
+    /// The inertia of a body that nothing holds.
+    pub(crate) free: Option<Arc<FreeBody>>,
+}
+
+/// Tables for `rule` in `basis`.
 pub(crate) fn reduced_model(
     model: &FullModel,
     rule: &Rule,
     basis: &Combination,
-    stitch_stiffness: Mat<f64>,
-    gravity: Mat<f64>,
+    whole: Whole,
     damping: RayleighDamping,
     n_rigid_modes: usize,
-    free: Option<Arc<FreeBody>>,
 ) -> ReducedModel {
+    let Whole { stitch_stiffness, gravity, free } = whole;
     let mut gradients = ReducedModel::gradient_table(rule.tets.len(), basis.n_columns());
     gradients.fill(POINTS_PER_TASK, |first, count| {
         let tets = &rule.tets[first..first + count];

@@ -81,7 +81,7 @@ impl Shared {
         let _span = tracing::info_span!("keeping", session = %session.id).entered();
         let generations = session.begin_keeping();
         let begun = Instant::now();
-        let kept = catching("keeping bodies", || Ok(journal.keep_bodies(&generations, goes_on)?));
+        let kept = catching("keeping bodies", || journal.keep_bodies(&generations, goes_on));
         match kept {
             Ok(()) => tracing::debug!(seconds = begun.elapsed().as_secs_f64(), "bodies kept"),
             Err(error) => tracing::warn!(%error, "bodies not kept"),

@@ -13,7 +13,7 @@ use crate::edit::EditState;
 use crate::linalg;
 use crate::modes::AuditedSpectrum;
 use crate::modes::stitched::StitchMatrix;
-use crate::reduced::{self, FreeBody};
+use crate::reduced::{self, FreeBody, Whole};
 use std::sync::{Arc, OnceLock};
 
 /// Poses for validation: this share of the training poses, and at least so many.
@@ -113,11 +113,13 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
         &prepared.model,
         &rule,
         basis,
-        linalg::gram(stretch.as_ref(), stretch.as_ref()),
-        reduced::gravity_loads(&prepared.model, basis),
+        Whole {
+            stitch_stiffness: linalg::gram(stretch.as_ref(), stretch.as_ref()),
+            gravity: reduced::gravity_loads(&prepared.model, basis),
+            free: free_body(&prepared, basis, draft.n_rigid_modes),
+        },
         params.damping,
         draft.n_rigid_modes,
-        free_body(&prepared, basis, draft.n_rigid_modes),
     );
     clock.finish(Stage::Reduction)?;
     Ok(Artifacts {

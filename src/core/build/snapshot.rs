@@ -22,7 +22,7 @@ use crate::dictionary::{Block, Combination};
 use crate::edit::BaseState;
 use crate::linalg;
 use crate::modes::AuditedSpectrum;
-use crate::reduced;
+use crate::reduced::{self, Whole};
 use faer::{Mat, MatRef};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -264,11 +264,9 @@ pub fn revive(
         model,
         &rule,
         &basis,
-        stitch_stiffness,
-        gravity,
+        Whole { stitch_stiffness, gravity, free: free_body(base, &basis, kept.n_rigid_modes) },
         params.damping,
         kept.n_rigid_modes,
-        free_body(base, &basis, kept.n_rigid_modes),
     );
     clock.finish(Stage::Reduction)?;
     Ok(Artifacts {

@@ -8,7 +8,8 @@
 use super::frame::{Digest, hex};
 use super::record::{ParamsRecord, RecipeRecord, Unreadable};
 use super::snapshot::{self, BodyNames};
-use super::{Archive, Contents, Journal};
+use super::{Archive, Contents, Journal, unwritable};
+use crate::error::StoreError;
 use crate::metrics;
 use crate::session::{Generation, SessionId};
 use crate::storage::{Entry, Storage, StorageError};
@@ -328,34 +329,36 @@ impl Journal {
         &self,
         generations: &[Arc<Generation>],
         goes_on: &dyn Fn() -> bool,
-    ) -> Result<(), StorageError> {
-        let Journal { archive, id, .. } = self;
+    ) -> Result<(), StoreError> {
         for (body, names) in self.use_bodies(generations).into_iter().rev() {
             let base = || snapshot::encode_base(&names.base, &body.base_body().snapshot());
             let own = || snapshot::encode_generation(&names.own, &body.snapshot());
-            let parts: [(Digest, &dyn Fn() -> Result<Vec<u8>, Unreadable>); 2] =
-                [(names.base, &base), (names.own, &own)];
-            for (name, encode) in parts {
-                if !goes_on() {
-                    return Ok(());
-                }
-                if archive.bodies.has(&name) {
-                    continue;
-                }
-                let bytes = match encode() {
-                    Ok(bytes) => bytes,
-                    Err(error) => {
-                        tracing::error!(%error, "a body could not be written");
-                        return Ok(());
-                    }
-                };
-                if !archive.bodies.put(*id, name, &bytes)? {
-                    tracing::debug!(session = %id, "no room to keep a body");
-                    return Ok(());
-                }
+            let is_kept = goes_on()
+                && self.keep_body(names.base, base)?
+                && goes_on()
+                && self.keep_body(names.own, own)?;
+            if !is_kept {
+                break;
             }
         }
         Ok(())
+    }
+
+    /// Tells whether the body is kept now.
+    fn keep_body(
+        &self,
+        name: Digest,
+        encode: impl FnOnce() -> Result<Vec<u8>, Unreadable>,
+    ) -> Result<bool, StoreError> {
+        let bodies = &self.archive.bodies;
+        if bodies.has(&name) {
+            return Ok(true);
+        }
+        let is_kept = bodies.put(self.id, name, &encode().map_err(unwritable)?)?;
+        if !is_kept {
+            tracing::debug!(session = %self.id, "no room to keep a body");
+        }
+        Ok(is_kept)
     }
 }
 

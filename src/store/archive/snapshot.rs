@@ -5,6 +5,7 @@
 
 use super::frame::{self, Digest};
 use super::record::{self, ParamsRecord, RecipeRecord, Unreadable};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 use sutura_core::build::{
@@ -279,9 +280,7 @@ fn framed(record: &impl Serialize, matrices: &[&Columns]) -> Result<Vec<u8>, Unr
 }
 
 /// A record, and the bytes of the matrices behind it.
-fn unframed<'a, T: serde::de::DeserializeOwned>(
-    bytes: &'a [u8],
-) -> Result<(T, Vec<&'a [u8]>), Unreadable> {
+fn unframed<T: DeserializeOwned>(bytes: &[u8]) -> Result<(T, Vec<&[u8]>), Unreadable> {
     let frames = frame::sequence(bytes).ok_or_else(|| wrong("a checksum is wrong"))?;
     let [record, matrices @ ..] = &frames[..] else { return Err(wrong("it is empty")) };
     Ok((record::decode(record)?, matrices.to_vec()))
