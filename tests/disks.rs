@@ -8,6 +8,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
+use sutura_client::proto::edit::{Edit, EditRequest};
 use sutura_client::proto::evaluate::{Coordinates, EvaluateRequest};
 use sutura_client::proto::session::SessionConfig;
 use sutura_client::{Error, Generation, Session};
@@ -135,7 +136,9 @@ async fn a_full_disk_refuses_changes_and_serves_the_rest() {
     let mut n_kept = 0;
     let refused = loop {
         disk.fill();
-        match session.edit(&stitch(&seam()[2 + n_kept..3 + n_kept])).await {
+        let stiffness_n_m = 1e4 + n_kept as f64;
+        let edit = Edit::SetStiffness { stitch_ids: vec![0], stiffness_n_m };
+        match session.edit(&EditRequest::new(vec![edit])).await {
             Ok(_) => n_kept += 1,
             Err(error) => break error,
         }
@@ -157,7 +160,7 @@ async fn a_full_disk_refuses_changes_and_serves_the_rest() {
     let session = daemon.client().await.session(session.id()).unwrap();
     assert!(evaluated(&session).await == kept);
     fs::remove_file(ballast).unwrap();
-    session.edit(&stitch(&seam()[8..])).await.unwrap();
+    session.edit(&stitch(&seam()[5..6])).await.unwrap();
     let after = evaluated(&session).await;
     assert_eq!(after.0, kept.0 + 1);
     daemon.kill();

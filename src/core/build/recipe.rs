@@ -48,7 +48,7 @@ impl Recipe {
 }
 
 impl Artifacts {
-    /// Whether this is what [`build`] made.
+    /// Whether this is what [`build`](super::build) made.
     pub fn is_as_built(&self) -> bool {
         self.origin.method.is_none()
     }
