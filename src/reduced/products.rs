@@ -314,9 +314,9 @@ mod tests {
                     responses(response, rows, g, &c);
                     add_lower_product(&mut a, rows, g, response);
                 }
-                for i in 0..rows {
+                for (i, force) in force.iter().take(rows).enumerate() {
                     let expected: f64 = (0..n).map(|k| at(g, i, k) * entries[k / 9][k % 9]).sum();
-                    assert!(is_near(force[i], 1.0 + expected));
+                    assert!(is_near(*force, 1.0 + expected));
                 }
                 for k in 0..n {
                     let expected: f64 = (0..rows).map(|i| at(g, i, k) * q[i]).sum();
