@@ -54,19 +54,10 @@ pub enum ModesError {
 /// In this norm a residual is a relative error: some exact eigenvalue of (K̂ + σM, M) lies within
 /// the fraction ρ of λ + σ, and the error of a Ritz value is about ρ² over its relative gap. (The
 /// Euclidean or M⁻¹ norm would be ruled by high frequencies that hardly matter to the mode.)
-/// `residual` is n×k, `solved` is K̂_σ⁻¹ of it.
-pub fn relative_residuals(
-    residual: MatRef<'_, f64>,
-    solved: MatRef<'_, f64>,
-    eigenvalues: &[f64],
-    sigma: f64,
-) -> Vec<f64> {
-    (0..residual.ncols())
-        .map(|i| {
-            let energy = residual.col(i).transpose() * solved.col(i);
-            (energy.max(0.0) / (eigenvalues[i] + sigma)).sqrt()
-        })
-        .collect()
+/// `energies` are rᵀ K̂_σ⁻¹ r, for each mode.
+pub fn relative_residuals(energies: &[f64], eigenvalues: &[f64], sigma: f64) -> Vec<f64> {
+    let pairs = energies.iter().zip(eigenvalues);
+    pairs.map(|(energy, lambda)| (energy.max(0.0) / (lambda + sigma)).sqrt()).collect()
 }
 
 /// What estimates are multiplied by: `beyond` is a Ritz value too, below the exact θ, so that gaps come
