@@ -146,11 +146,11 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// The same where the next rows to be read are those of the next group, or of the one before.
+    /// The same where what is read next are the same rows of the next group, or of the one before.
     #[inline(always)]
-    fn piece<const C: usize>(&self, first: usize, rows: Range<usize>, to: Next) -> Rows<'a, C> {
+    fn same_rows<const C: usize>(&self, first: usize, rows: Range<usize>, of: Next) -> Rows<'a, C> {
         let distance = self.shape.height - first;
-        let distance = if to == Next::After { distance.saturating_sub(GROUP) } else { distance };
+        let distance = if of == Next::After { distance.saturating_sub(GROUP) } else { distance };
         let gap = distance.saturating_sub(rows.len());
         Rows { fetch: Fetch { begin: 0, gap }, ..self.rows(first, rows) }
     }
@@ -170,8 +170,8 @@ struct Rows<'a, const C: usize> {
     fetch: Fetch,
 }
 
-/// What is to be fetched while rows of a whole group are read, each a cache line: lines one *window* further
-/// on, a quarter of the window at a time, which are four pages.
+/// What is to be fetched while rows of a whole group are read, each a cache line: those of the next *window*,
+/// from its four quarters in turn, which are four pages. Whatever the line, asking for it is harmless.
 #[derive(Clone, Copy)]
 struct Fetch {
     /// Which line of all that are read the first row is.
@@ -208,15 +208,12 @@ impl Fetch {
         if C != GROUP {
             return;
         }
-        let at = self.begin + i;
-        // How far before the first row; negative where it is one of these.
-        let distance =
-            self.begin
-                .wrapping_sub(at - at % WINDOW)
-                .wrapping_add(1)
-                .wrapping_add(Fetch::permuted(WINDOW - 1 - at % WINDOW)) as isize;
-        let distance = if distance <= 0 { distance } else { distance + self.gap as isize };
-        prefetch_index::prefetch_index(l, 0usize.wrapping_sub(distance as usize));
+        let (begin, at) = (self.begin as isize, self.begin + i);
+        let window = (at - at % WINDOW) as isize;
+        // Negative before the first of these rows.
+        let line = window - 1 - Fetch::permuted(WINDOW - 1 - at % WINDOW) as isize - begin;
+        let line = if line >= 0 { line } else { line - self.gap as isize };
+        prefetch_index::prefetch_index(l, line as usize);
     }
 }
 
@@ -380,7 +377,7 @@ fn subtract_group<S: Simd, const N: usize, const C: usize>(
     x: &[Row<N>],
     y: &mut [Row<N>],
 ) {
-    let rows = panel.piece::<C>(first, row..row + y.len(), Next::After);
+    let rows = panel.same_rows::<C>(first, row..row + y.len(), Next::After);
     subtract_rows::<S, N, C>(simd, rows, x, y);
 }
 
@@ -522,7 +519,7 @@ fn subtract_transposed_group<S: Simd, const N: usize, const C: usize>(
     x: &mut [Row<N>],
     y: &[Row<N>],
 ) {
-    let rows = panel.piece::<C>(first, row..row + y.len(), Next::Before);
+    let rows = panel.same_rows::<C>(first, row..row + y.len(), Next::Before);
     subtract_transposed_rows::<S, N, C>(simd, rows, x, y);
 }
 
