@@ -1,6 +1,7 @@
 //! The store from the outside, on small real bodies.
 
 mod interaction;
+pub(crate) mod storages;
 
 use crate::pool::{Account, Place};
 use crate::work::{BUILD, EDIT};

@@ -13,7 +13,7 @@ use crate::assembly::sparse::{BlockMatrix, Pattern};
 use crate::control::Stage;
 use crate::dictionary::Block;
 use crate::edit::BaseState;
-use crate::factorization::SymbolicCholesky;
+use crate::factorization::{SparseCholesky, SymbolicCholesky};
 use crate::modes::stitched::StitchMatrix;
 use crate::modes::{AuditedSpectrum, rigid};
 use faer::Mat;
@@ -57,6 +57,34 @@ pub(super) struct Assembled {
     pub(super) symbolic: Arc<SymbolicCholesky>,
 }
 
+impl Assembled {
+    /// The base body of `state`, for which all of this was assembled with `params`: with the factor of K + σM and σ,
+    /// its elastic modes (n×m) and their audit. It has no seams yet, and what a derivative takes is not known.
+    pub(super) fn prepared(
+        self,
+        params: &BuildParams,
+        state: &BaseState,
+        (factor, sigma): (SparseCholesky, f64),
+        modes: Mat<f64>,
+        spectrum: AuditedSpectrum,
+    ) -> Prepared {
+        Prepared {
+            params: params.clone(),
+            state: state.clone(),
+            model: self.model,
+            mass: self.mass,
+            mass_inverse: OnceLock::new(),
+            stiffness: self.stiffness,
+            factor,
+            sigma,
+            x: [Block::new(self.rigid), Block::new(modes)],
+            spectrum,
+            column_time: Duration::ZERO,
+            seams: SeamCache::default(),
+        }
+    }
+}
+
 /// Matrices of `state`, and the analysis of their pattern.
 pub(super) fn assemble(
     state: &BaseState,
@@ -98,30 +126,19 @@ pub(super) fn prepare(
     params: &BuildParams,
     clock: &mut StageClock<'_>,
 ) -> Result<(Arc<Prepared>, DerivativeSet), BuildError> {
-    let Assembled { model, mass, stiffness, rigid, symbolic } = assemble(state, params, clock)?;
+    let assembled = assemble(state, params, clock)?;
+    let Assembled { model, mass, stiffness, rigid, symbolic } = &assembled;
     let Spectrum { factor, sigma, modes, residuals } = lowest_spectrum(
-        &model,
-        &mass,
-        &stiffness,
+        model,
+        mass,
+        stiffness,
         rigid.as_ref(),
-        symbolic,
+        symbolic.clone(),
         params.n_modes,
         clock,
     )?;
-    let mut prepared = Prepared {
-        params: params.clone(),
-        state: state.clone(),
-        model,
-        mass,
-        mass_inverse: OnceLock::new(),
-        stiffness,
-        factor,
-        sigma,
-        x: [Block::new(rigid), Block::new(modes.shapes)],
-        spectrum: AuditedSpectrum::converged(modes.eigenvalues, residuals),
-        column_time: Duration::ZERO,
-        seams: SeamCache::default(),
-    };
+    let spectrum = AuditedSpectrum::converged(modes.eigenvalues, residuals);
+    let mut prepared = assembled.prepared(params, state, (factor, sigma), modes.shapes, spectrum);
     let begin = clock.control.now();
     let (set, loads) = base_derivatives(&prepared, clock.control)?;
     prepared.column_time =

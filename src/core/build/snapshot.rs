@@ -9,7 +9,7 @@
 //! same columns have another name: [`Artifacts::basis_combination`] has a block of its own for them.)
 
 use super::StageClock;
-use super::artifacts::{Artifacts, CubatureReport, Origin, Prepared, SeamCache};
+use super::artifacts::{Artifacts, CubatureReport, Origin, Prepared};
 use super::base::{self, Assembled, BaseBody, assemble};
 use super::certificate::Verdict;
 use super::finish::free_body;
@@ -18,7 +18,7 @@ use super::recipe::{Recipe, check, check_rule};
 use super::spectrum::{GUARD_MODES, factorized};
 use crate::control::{Control, Stage};
 use crate::cubature::Rule;
-use crate::dictionary::{Block, Combination};
+use crate::dictionary::Combination;
 use crate::edit::BaseState;
 use crate::linalg;
 use crate::modes::AuditedSpectrum;
@@ -169,8 +169,8 @@ pub fn revive_base(
 ) -> Result<BaseBody, BuildError> {
     params::check(state.mesh(), params)?;
     let mut clock = StageClock::start(control);
-    let Assembled { model, mass, stiffness, rigid, symbolic } =
-        assemble(state, params, &mut clock)?;
+    let assembled = assemble(state, params, &mut clock)?;
+    let Assembled { model, mass, stiffness, rigid, symbolic } = &assembled;
     let BaseSnapshot { sigma_per_s2: sigma, modes, eigenvalues_per_s2, residuals, .. } = kept;
     let n_modes = modes.n_columns;
     demand(n_modes <= params.n_modes.saturating_add(GUARD_MODES), "there are too many modes")?;
@@ -183,22 +183,11 @@ pub fn revive_base(
     demand(is_shifted || *sigma == 0.0, "the shift is no shift")?;
     demand(is_shifted == (rigid.ncols() > 0), "the shift is that of another body")?;
     let modes = modes.matrix(model.n(), "the modes are those of another body")?;
-    let factor = factorized(&model, &mass, &stiffness, symbolic, *sigma)?;
+    let factor = factorized(model, mass, stiffness, symbolic.clone(), *sigma)?;
     clock.finish(Stage::Factorization)?;
-    Ok(BaseBody(Arc::new(Prepared {
-        params: params.clone(),
-        state: state.clone(),
-        model,
-        mass,
-        mass_inverse: OnceLock::new(),
-        stiffness,
-        factor,
-        sigma: *sigma,
-        x: [Block::new(rigid), Block::new(modes)],
-        spectrum: AuditedSpectrum::converged(eigenvalues_per_s2.clone(), residuals.clone()),
-        column_time: kept.column_time,
-        seams: SeamCache::default(),
-    })))
+    let spectrum = AuditedSpectrum::converged(eigenvalues_per_s2.clone(), residuals.clone());
+    let prepared = assembled.prepared(params, state, (factor, *sigma), modes, spectrum);
+    Ok(BaseBody(Arc::new(Prepared { column_time: kept.column_time, ..prepared })))
 }
 
 /// The generation of `recipe`, an update of `base`, of which `kept` was kept; without a solve. `kin` are base bodies

@@ -95,7 +95,8 @@ struct BodyRecord {
     cubature: Option<FittedRecord>,
     stitch_stiffness: SmallRecord,
     gravity_loads: SmallRecord,
-    timings: Vec<(StageRecord, Duration)>,
+    /// By the name of the stage.
+    timings: Vec<(String, Duration)>,
     warnings: Vec<String>,
 }
 
@@ -128,19 +129,6 @@ enum SourceRecord {
     Reused,
     Refitted,
     Retrained,
-}
-
-#[derive(Serialize, Deserialize)]
-enum StageRecord {
-    Closing,
-    Assembly,
-    Factorization,
-    Modes,
-    Seams,
-    Derivatives,
-    Basis,
-    Cubature,
-    Reduction,
 }
 
 /// A base body's bytes.
@@ -209,7 +197,7 @@ pub(crate) fn encode_generation(
         cubature: cubature.as_ref().map(FittedRecord::new),
         stitch_stiffness: SmallRecord::new(stitch_stiffness),
         gravity_loads: SmallRecord::new(gravity_loads),
-        timings: timings.iter().map(|(stage, took)| (StageRecord::new(*stage), *took)).collect(),
+        timings: timings.iter().map(|(stage, took)| (stage.name().to_owned(), *took)).collect(),
         warnings: warnings.clone(),
     };
     let matrices: Vec<&Columns> = modes.iter().chain([basis]).collect();
@@ -248,7 +236,7 @@ pub(crate) fn decode_generation(
         cubature: record.cubature.map(FittedRecord::snapshot).transpose()?,
         stitch_stiffness: record.stitch_stiffness.columns()?,
         gravity_loads: record.gravity_loads.columns()?,
-        timings: record.timings.into_iter().map(|(stage, took)| (stage.stage(), took)).collect(),
+        timings: record.timings.into_iter().map(timing).collect::<Result<_, _>>()?,
         warnings: record.warnings,
     })
 }
@@ -263,6 +251,11 @@ fn check_name(expected: &Digest, found: &Digest) -> Result<(), Unreadable> {
 
 fn count(n: u64) -> Result<usize, Unreadable> {
     usize::try_from(n).map_err(Unreadable::new)
+}
+
+fn timing((name, took): (String, Duration)) -> Result<(Stage, Duration), Unreadable> {
+    let stage = Stage::ALL.into_iter().find(|stage| stage.name() == name);
+    Ok((stage.ok_or_else(|| wrong("there is no such stage"))?, took))
 }
 
 fn framed(record: &impl Serialize, matrices: &[&Columns]) -> Result<Vec<u8>, Unreadable> {
@@ -339,35 +332,5 @@ impl FittedRecord {
             },
             trained_error: self.trained_error,
         })
-    }
-}
-
-impl StageRecord {
-    fn new(stage: Stage) -> StageRecord {
-        match stage {
-            Stage::Closing => StageRecord::Closing,
-            Stage::Assembly => StageRecord::Assembly,
-            Stage::Factorization => StageRecord::Factorization,
-            Stage::Modes => StageRecord::Modes,
-            Stage::Seams => StageRecord::Seams,
-            Stage::Derivatives => StageRecord::Derivatives,
-            Stage::Basis => StageRecord::Basis,
-            Stage::Cubature => StageRecord::Cubature,
-            Stage::Reduction => StageRecord::Reduction,
-        }
-    }
-
-    fn stage(&self) -> Stage {
-        match self {
-            StageRecord::Closing => Stage::Closing,
-            StageRecord::Assembly => Stage::Assembly,
-            StageRecord::Factorization => Stage::Factorization,
-            StageRecord::Modes => Stage::Modes,
-            StageRecord::Seams => Stage::Seams,
-            StageRecord::Derivatives => Stage::Derivatives,
-            StageRecord::Basis => Stage::Basis,
-            StageRecord::Cubature => Stage::Cubature,
-            StageRecord::Reduction => Stage::Reduction,
-        }
     }
 }

@@ -1,7 +1,8 @@
 //! Bodies that are read instead of made, and what becomes of those that are not what they should be.
 
 use crate::restore::tests::{close, edits, files, open, print, prints};
-use crate::storage::{Entry, LocalFiles, Storage, StorageError};
+use crate::storage::{LocalFiles, Storage};
+use crate::tests::storages::Ruled;
 use crate::tests::{PATIENCE, create_bars, current, ready, seam, stitch};
 use crate::{
     EditRequest, EventKind, GenerationRef, KeepingConfig, MemoryConfig, SessionId, SessionState,
@@ -10,14 +11,14 @@ use crate::{
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
-use std::io::{Error, ErrorKind};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use sutura_core::build::Method;
 use sutura_core::control::Stage;
 use sutura_core::edit::Edit;
+use tempfile::TempDir;
 
 /// What finds modes, derivatives, bases and rules.
 const SOLVING: [Stage; 4] = [Stage::Modes, Stage::Derivatives, Stage::Basis, Stage::Cubature];
@@ -73,6 +74,20 @@ async fn edited(store: &Store) -> SessionId {
     id
 }
 
+/// A store on what `folder` holds, in which the session is as it was.
+async fn restarted(
+    folder: &TempDir,
+    id: SessionId,
+    before: &[Vec<u64>],
+    took: &[Vec<(Stage, Duration)>],
+) -> Store {
+    let store = open(folder.path());
+    store.wake(id).await.unwrap();
+    assert!(prints(&store, id) == before);
+    assert_eq!(timings(&store, id), took);
+    store
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_restart_reads_bodies_and_solves_for_nothing() {
     let folder = tempfile::tempdir().unwrap();
@@ -84,20 +99,13 @@ async fn a_restart_reads_bodies_and_solves_for_nothing() {
     // Two base bodies and the generations.
     assert_eq!(bodies(folder.path()).len(), 2 + 6);
 
-    let store = open(folder.path());
-    store.wake(id).await.unwrap();
-    assert!(prints(&store, id) == before);
-    assert_eq!(timings(&store, id), took);
+    let store = restarted(&folder, id, &before, &took).await;
     // It goes on from there, and what it makes is kept as well.
     store.edit(id, edits(vec![Edit::UnstitchAll])).await.unwrap();
     let (after, took) = (prints(&store, id), timings(&store, id));
     close(store).await;
     assert_eq!(bodies(folder.path()).len(), 2 + 7);
-    let store = open(folder.path());
-    store.wake(id).await.unwrap();
-    assert!(prints(&store, id) == after);
-    assert_eq!(timings(&store, id), took);
-    close(store).await;
+    close(restarted(&folder, id, &after, &took).await).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -225,61 +233,27 @@ async fn bodies_that_left_memory_come_back_without_a_solve() {
     close(store).await;
 }
 
-/// A storage with little room.
-#[derive(Debug)]
-struct Small {
-    files: LocalFiles,
-    room: AtomicU64,
-}
-
-impl Small {
-    fn admit(&self, name: &str, n_more: usize) -> Result<(), StorageError> {
-        let folders = ["sessions", "meshes", "bodies"];
-        let entries = folders.map(|folder| self.files.list(folder)).into_iter();
-        let there: u64 = entries.flat_map(Result::unwrap).map(|entry| entry.n_bytes).sum();
-        if there + n_more as u64 <= self.room.load(Ordering::SeqCst) {
-            return Ok(());
-        }
-        let source = Error::from(ErrorKind::StorageFull);
-        Err(StorageError { action: "testing", name: name.to_owned(), source })
-    }
-}
-
-impl Storage for Small {
-    fn get(&self, name: &str) -> Result<Option<Vec<u8>>, StorageError> {
-        self.files.get(name)
-    }
-    fn put(&self, name: &str, bytes: &[u8]) -> Result<(), StorageError> {
-        self.admit(name, bytes.len())?;
-        self.files.put(name, bytes)
-    }
-    fn append(&self, name: &str, offset: u64, bytes: &[u8]) -> Result<(), StorageError> {
-        self.admit(name, bytes.len())?;
-        self.files.append(name, offset, bytes)
-    }
-    fn delete(&self, name: &str) -> Result<(), StorageError> {
-        self.files.delete(name)
-    }
-    fn list(&self, prefix: &str) -> Result<Vec<Entry>, StorageError> {
-        self.files.list(prefix)
-    }
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn on_a_full_disk_bodies_make_room_for_what_is_acknowledged() {
     let folder = tempfile::tempdir().unwrap();
     let opened = |room: u64| {
-        let files = LocalFiles::open(folder.path()).unwrap();
-        let storage = Arc::new(Small { files, room: AtomicU64::new(room) });
-        (Store::open(StoreConfig::default(), storage.clone()).unwrap(), storage)
+        let storage = Ruled::new(folder.path(), move |files, n_more| {
+            let folders = ["sessions", "meshes", "bodies"];
+            let there = folders.into_iter().flat_map(|folder| files.list(folder).unwrap());
+            let n_bytes: u64 = there.map(|entry| entry.n_bytes).sum();
+            match n_more == 0 || n_bytes + n_more as u64 <= room {
+                true => Ok(()),
+                false => Err(ErrorKind::StorageFull),
+            }
+        });
+        Store::open(StoreConfig::default(), Arc::new(storage)).unwrap()
     };
-    let (store, storage) = opened(u64::MAX);
+    let store = opened(u64::MAX);
     let id = edited(&store).await;
     close(store).await;
-    drop(storage);
     let n_bodies = bodies(folder.path()).len();
     let all = files(folder.path()).iter().map(|path| std::fs::metadata(path).unwrap().len()).sum();
-    let (store, storage) = opened(all);
+    let store = opened(all);
     store.wake(id).await.unwrap();
     for _ in 0..3 {
         store.edit(id, edits(vec![Edit::UnstitchAll])).await.unwrap();
@@ -289,8 +263,7 @@ async fn on_a_full_disk_bodies_make_room_for_what_is_acknowledged() {
     // There is no room to keep what was made since: that harms nothing.
     let before = prints(&store, id);
     close(store).await;
-    drop(storage);
-    let (store, _) = opened(all);
+    let store = opened(all);
     store.wake(id).await.unwrap();
     assert!(prints(&store, id) == before);
     close(store).await;

@@ -1,6 +1,7 @@
 //! Stores that go down and come back: on real files, and on a storage that fails when it is told to.
 
-use crate::storage::{Entry, LocalFiles, Storage, StorageError};
+use crate::storage::LocalFiles;
+use crate::tests::storages::Ruled;
 use crate::tests::{PATIENCE, create_bars, current, ready, seam, simulation, stitch};
 use crate::{
     EditRequest, Generation, GenerationRef, SessionId, SessionState, Store, StoreConfig,
@@ -8,10 +9,10 @@ use crate::{
 };
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::io::{Error, ErrorKind};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicI64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use sutura_core::edit::Edit;
 
@@ -241,67 +242,21 @@ async fn a_session_whose_build_was_cut_off_is_built() {
     close(store).await;
 }
 
-/// Works until it is told to fail.
-#[derive(Debug)]
-struct Failing {
-    files: LocalFiles,
-    /// Writes that still succeed; negative: all.
-    left: AtomicI64,
-    kind: ErrorKind,
-}
-
-impl Failing {
-    fn attempt(&self, name: &str) -> Result<(), StorageError> {
-        let left = self.left.load(Ordering::SeqCst);
-        if left < 0 {
-            return Ok(());
-        }
-        if left == 0 {
-            let (action, name) = ("testing", name.to_owned());
-            return Err(StorageError { action, name, source: Error::from(self.kind) });
-        }
-        self.left.fetch_sub(1, Ordering::SeqCst);
-        Ok(())
-    }
-}
-
-impl Storage for Failing {
-    fn get(&self, name: &str) -> Result<Option<Vec<u8>>, StorageError> {
-        self.files.get(name)
-    }
-    fn put(&self, name: &str, bytes: &[u8]) -> Result<(), StorageError> {
-        self.attempt(name)?;
-        self.files.put(name, bytes)
-    }
-    fn append(&self, name: &str, offset: u64, bytes: &[u8]) -> Result<(), StorageError> {
-        if let Err(error) = self.attempt(name) {
-            // Half of it has got through.
-            self.files.append(name, offset, &bytes[..bytes.len() / 2])?;
-            return Err(error);
-        }
-        self.files.append(name, offset, bytes)
-    }
-    fn delete(&self, name: &str) -> Result<(), StorageError> {
-        self.attempt(name)?;
-        self.files.delete(name)
-    }
-    fn list(&self, prefix: &str) -> Result<Vec<Entry>, StorageError> {
-        self.files.list(prefix)
-    }
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn what_cannot_be_kept_is_refused_and_nothing_else_is_lost() {
     let folder = tempfile::tempdir().unwrap();
-    let storage = Arc::new(Failing {
-        files: LocalFiles::open(folder.path()).unwrap(),
-        left: AtomicI64::new(-1),
-        kind: ErrorKind::StorageFull,
+    let is_full = Arc::new(AtomicBool::new(false));
+    let storage = Ruled::new(folder.path(), {
+        let is_full = is_full.clone();
+        move |_, _| match is_full.load(Ordering::SeqCst) {
+            true => Err(ErrorKind::StorageFull),
+            false => Ok(()),
+        }
     });
-    let store = Store::open(StoreConfig::default(), storage.clone()).unwrap();
+    let store = Store::open(StoreConfig::default(), Arc::new(storage)).unwrap();
     let id = ready(&store).await;
     store.edit(id, stitch(&seam()[..1])).await.unwrap();
-    storage.left.store(0, Ordering::SeqCst);
+    is_full.store(true, Ordering::SeqCst);
     let full = |error: StoreError| {
         assert!(matches!(&error, StoreError::Storage(error) if error.is_full()), "{error}");
     };
@@ -314,11 +269,10 @@ async fn what_cannot_be_kept_is_refused_and_nothing_else_is_lost() {
     // It serves what it has, unchanged.
     assert_eq!((store.n_sessions(), current(&store, id).number), (1, 1));
     assert!(matches!(store.simulation(id).await, Err(StoreError::NoSimulation)));
-    storage.left.store(-1, Ordering::SeqCst);
+    is_full.store(false, Ordering::SeqCst);
     store.edit(id, stitch(&seam()[2..3])).await.unwrap();
     let before = prints(&store, id);
     close(store).await;
-    drop(storage);
 
     let store = open(folder.path());
     store.wake(id).await.unwrap();
