@@ -2,25 +2,20 @@
 //!
 //! It comes after edits and builds, one task at a time. Losing some of it loses time, nothing else.
 
+use crate::chores::Chore;
 use crate::control::TaskControl;
 use crate::error::StoreError;
 use crate::live::{LiveSession, Rebasing};
-use crate::pool::{CancelFlag, Place, catching};
+use crate::pool::catching;
 use crate::session::{Generation, GenerationRef};
 use crate::store::Shared;
 use crate::tasks::keep;
-use crate::work::PREPARATION;
 use std::sync::Arc;
 use std::time::Duration;
 use sutura_core::build::{
     Artifacts, BaseBody, Method, RebuildParams, prepare_base, prepare_seams, rebase, rebuild,
 };
 use sutura_core::control::Control;
-
-/// Behind everything that somebody waits for.
-fn behind(session: &LiveSession) -> Place {
-    Place::new(PREPARATION).apart().charged_to(session.account())
-}
 
 impl Shared {
     /// What the current generation of `session` leaves to be done, queued.
@@ -41,43 +36,41 @@ impl Shared {
         if !session.journal.as_ref().is_some_and(|journal| journal.is_long(n_kept)) {
             return;
         }
-        let live = session.clone();
-        let run = move |_: &CancelFlag| {
-            // A session that has gone took its journal with it.
-            let Some(journal) = live.journal.as_ref().filter(|_| !live.is_closed()) else { return };
+        self.later(session, Chore::Compaction, move |_, session, _| {
+            let Some(journal) = session.journal.as_ref() else { return };
             if let Err(error) = catching("shortening a journal", || journal.compact(n_kept)) {
-                tracing::warn!(session = %live.id, %error, "the journal stays long");
+                tracing::warn!(%error, "the journal stays long");
             }
-        };
-        if let Err(error) = self.builds.submit(behind(session), run) {
-            tracing::debug!(%error, "the journal stays long");
-        }
+        });
     }
 
-    /// Prepares the pairs that the session names and those that are stitched, as far as the base body
-    /// has not got them.
-    pub(crate) fn prepare_seams_later(self: &Arc<Self>, session: &Arc<LiveSession>) {
-        let Ok(generation) = session.generation(GenerationRef::Current) else { return };
-        let body = &generation.artifacts;
+    /// The pairs that the session names and those that are stitched, as far as the base body has not got them
+    /// and may take them.
+    fn unprepared(&self, session: &LiveSession, body: &Artifacts) -> Vec<[u32; 2]> {
         let stitched = body.stitches().iter().map(|stitch| stitch.pair);
         let named = session.seams().into_iter().chain(body.params().seams.iter().copied());
         let mut missing = body.unprepared(named.chain(stitched));
         let limits = &self.config.limits;
         let most = limits.max_seams.min(limits.max_seam_bytes / body.prepared_pair_bytes().max(1));
         missing.truncate(most.saturating_sub(body.n_prepared_pairs()));
-        if missing.is_empty() {
+        missing
+    }
+
+    /// Prepares the pairs that are [`Shared::unprepared`].
+    pub(crate) fn prepare_seams_later(self: &Arc<Self>, session: &Arc<LiveSession>) {
+        let Ok(generation) = session.generation(GenerationRef::Current) else { return };
+        if self.unprepared(session, &generation.artifacts).is_empty() {
             return;
         }
-        let live = Arc::downgrade(session);
-        let id = session.id;
-        let run = move |cancel: &CancelFlag| {
-            let _span = tracing::info_span!("seams", session = %id).entered();
-            // A session that has gone needs none.
-            if live.upgrade().is_none_or(|session| session.is_closed()) {
+        // Not in the session's lane: edits go on meanwhile.
+        self.later(session, Chore::Seams, |store, session, cancel| {
+            let Ok(generation) = session.generation(GenerationRef::Current) else { return };
+            let body = &generation.artifacts;
+            let missing = store.unprepared(session, body);
+            if missing.is_empty() {
                 return;
             }
             let control = TaskControl::silent(cancel);
-            let body = &generation.artifacts;
             let done = catching("preparing seams", || {
                 prepare_seams(body, &missing, &control).map_err(StoreError::from)
             });
@@ -85,26 +78,20 @@ impl Shared {
                 Ok(()) => tracing::info!(n_pairs = body.n_prepared_pairs(), "seams prepared"),
                 Err(error) => tracing::info!(%error, "seams not prepared"),
             }
-        };
-        // Not in the session's lane: edits go on meanwhile.
-        if let Err(error) = self.builds.submit(behind(session), run) {
-            tracing::debug!(%error, "seams not prepared");
-        }
+        });
     }
 
     /// Finishes the current generation of `session` if a deadline left it unfinished.
     fn improve_later(self: &Arc<Self>, session: &Arc<LiveSession>) {
-        let Ok(generation) = session.generation(GenerationRef::Current) else { return };
-        if !generation.artifacts.certificate().is_unfinished {
+        let unfinished = |session: &LiveSession| {
+            let generation = session.generation(GenerationRef::Current).ok()?;
+            generation.artifacts.certificate().is_unfinished.then_some(generation)
+        };
+        if unfinished(session).is_none() {
             return;
         }
-        let (store, live) = (self.clone(), session.clone());
-        let run = move |cancel: &CancelFlag| {
-            let _span = tracing::info_span!("improvement", session = %live.id).entered();
-            // An edit has come in between: it starts from what there was.
-            if !live.is_current(generation.number) {
-                return;
-            }
+        let ticket = self.later(session, Chore::Improvement, move |store, session, cancel| {
+            let Some(generation) = unfinished(session) else { return };
             let control = TaskControl::silent(cancel);
             let params = RebuildParams::new(Method::Flexibility, generation.tolerance);
             let improved = catching("an improvement", || {
@@ -112,13 +99,12 @@ impl Shared {
                 Ok(made.map_err(StoreError::from)?.0)
             });
             match improved {
-                Ok(artifacts) => store.publish(&live, &generation, artifacts, control.now()),
+                Ok(artifacts) => store.publish(session, &generation, artifacts, control.now()),
                 Err(error) => tracing::info!(%error, "generation not improved"),
             }
-        };
-        match self.builds.submit(behind(session).in_lane(session.id), run) {
-            Ok(ticket) => session.set_improvement(ticket.cancel_on_drop()),
-            Err(error) => tracing::debug!(%error, "generation not improved"),
+        });
+        if let Some(ticket) = ticket {
+            session.set_improvement(ticket.cancel_on_drop());
         }
     }
 
@@ -132,37 +118,35 @@ impl Shared {
         n_open > most || (n_open > 0 && !body.modes_are_met())
     }
 
-    /// Prepares a base body that holds the stitches of `session` where the present one serves no longer.
-    fn rebase_later(self: &Arc<Self>, session: &Arc<LiveSession>) {
-        let Ok(generation) = session.generation(GenerationRef::Current) else { return };
+    /// The current generation of `session`, if a base body that holds its stitches is to be prepared.
+    fn to_rebase(&self, session: &LiveSession) -> Option<Arc<Generation>> {
+        let generation = session.generation(GenerationRef::Current).ok()?;
         let body = &generation.artifacts;
         // Who asked for another method has it.
         let is_update = generation.made_by == Some(Method::Flexibility);
-        if !is_update || body.certificate().is_unfinished || !self.is_far_from_base(body) {
+        let is_finished = !body.certificate().is_unfinished;
+        (is_update && is_finished && self.is_far_from_base(body)).then_some(generation)
+    }
+
+    /// Prepares a base body that holds the stitches of `session` where the present one serves no longer.
+    fn rebase_later(self: &Arc<Self>, session: &Arc<LiveSession>) {
+        if self.to_rebase(session).is_none() {
             return;
         }
         let Some(rebasing) = session.begin_rebasing() else { return };
-        let (store, live) = (self.clone(), session.clone());
-        let run = move |cancel: &CancelFlag| {
-            let _span = tracing::info_span!("rebasing", session = %live.id).entered();
-            // A session that has gone needs none.
-            if live.is_closed() {
-                return;
-            }
-            let admits = |n_bytes: usize| store.make_room(n_bytes, live.id);
+        // Not in the session's lane: edits go on meanwhile.
+        self.later(session, Chore::BaseBody, move |store, session, cancel| {
+            let Some(generation) = store.to_rebase(session) else { return };
+            let admits = |n_bytes: usize| store.make_room(n_bytes, session.id);
             let control = TaskControl::silent(cancel).within(&admits);
             let prepared = catching("preparing a base body", || {
                 prepare_base(&generation.artifacts, &control).map_err(StoreError::from)
             });
             match prepared {
-                Ok(base) => store.move_to_base(&live, base, rebasing),
+                Ok(base) => store.move_to_base(session, base, rebasing),
                 Err(error) => tracing::info!(%error, "base body not prepared"),
             }
-        };
-        // Not in the session's lane: edits go on meanwhile.
-        if let Err(error) = self.builds.submit(behind(session), run) {
-            tracing::debug!(%error, "base body not prepared");
-        }
+        });
     }
 
     /// Makes what is current then an update of `base`.
@@ -172,10 +156,8 @@ impl Shared {
         base: BaseBody,
         rebasing: Rebasing,
     ) {
-        let (store, live) = (self.clone(), session.clone());
-        let run = move |cancel: &CancelFlag| {
-            let _span = tracing::info_span!("rebasing", session = %live.id).entered();
-            let Ok(generation) = live.generation(GenerationRef::Current) else { return };
+        self.later(session, Chore::Rebasing, move |store, session, cancel| {
+            let Ok(generation) = session.generation(GenerationRef::Current) else { return };
             let control = TaskControl::silent(cancel);
             let made = catching("rebasing", || {
                 rebase(&generation.artifacts, &base, &control).map_err(StoreError::from)
@@ -183,14 +165,13 @@ impl Shared {
             // From here on another one may be prepared, as after edits that this one does not serve.
             drop(rebasing);
             match made {
-                Ok(Some(artifacts)) => store.publish(&live, &generation, artifacts, control.now()),
-                Ok(None) => store.follow_up(&live),
+                Ok(Some(artifacts)) => {
+                    store.publish(session, &generation, artifacts, control.now())
+                }
+                Ok(None) => store.follow_up(session),
                 Err(error) => tracing::info!(%error, "generation not rebased"),
             }
-        };
-        if let Err(error) = self.builds.submit(behind(session).in_lane(session.id), run) {
-            tracing::debug!(%error, "generation not rebased");
-        }
+        });
     }
 
     /// Makes `artifacts`, the same body as `generation`, the current generation of `session`.

@@ -1,10 +1,10 @@
 //! Keeping prepared bodies on the storage: when a session has come to rest, before its body leaves memory, and at
 //! the end. Nobody waits for it, and nothing depends on it but how long a restoration takes.
 
+use crate::chores::Chore;
 use crate::live::LiveSession;
-use crate::pool::{CancelFlag, Place, catching};
+use crate::pool::catching;
 use crate::store::Shared;
-use crate::work::PREPARATION;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::thread::JoinHandle;
@@ -58,18 +58,12 @@ impl Shared {
             if !session.is_unkept_for(rest) {
                 continue;
             }
-            let (store, live) = (Arc::downgrade(self), session.clone());
-            let run = move |cancel: &CancelFlag| {
-                let Some(store) = store.upgrade() else { return };
+            self.later(&session, Chore::Keeping, move |store, session, cancel| {
                 // An edit has come in between.
-                if live.is_unkept_for(rest) {
-                    store.keep_bodies(&live, &|| !cancel.is_set());
+                if session.is_unkept_for(rest) {
+                    store.keep_bodies(session, &|| !cancel.is_set());
                 }
-            };
-            let place = Place::new(PREPARATION).apart().charged_to(session.account());
-            if let Err(error) = self.builds.submit(place, run) {
-                tracing::debug!(%error, "bodies not kept now");
-            }
+            });
         }
     }
 

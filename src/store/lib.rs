@@ -13,6 +13,7 @@
 mod archive;
 mod background;
 mod check;
+mod chores;
 mod config;
 mod control;
 mod error;

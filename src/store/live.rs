@@ -4,6 +4,7 @@
 //! happened. Generations are inserted whole and never changed.
 
 use crate::archive::{Found, Journal};
+use crate::chores::Chores;
 use crate::error::StoreError;
 use crate::event::{Event, EventKind};
 use crate::pool::{Account, CancelOnDrop, catching};
@@ -43,6 +44,8 @@ pub(crate) struct LiveSession {
     size: MeshSize,
     /// When it was used last, in uses of any session.
     last_use: AtomicU64,
+    /// What waits to be done for it when nobody else wants the threads.
+    pub(crate) chores: Chores,
     inner: Mutex<Inner>,
     /// Becomes true when the build has ended, well or badly, or the session is gone.
     settled: watch::Sender<bool>,
@@ -179,6 +182,7 @@ impl LiveSession {
             size,
             last_use: AtomicU64::new(surroundings.n_uses.fetch_add(1, Ordering::Relaxed)),
             surroundings,
+            chores: Chores::default(),
             inner: Mutex::new(Inner {
                 state,
                 progress: None,
@@ -370,11 +374,6 @@ impl LiveSession {
         let mut inner = self.lock();
         inner.seams.extend(pairs.iter().map(|[a, b]| [*a.min(b), *a.max(b)]));
         inner.seams.len()
-    }
-
-    /// Whether this generation is the current one.
-    pub(crate) fn is_current(&self, number: u64) -> bool {
-        self.lock().current().is_ok_and(|current| current.number == number)
     }
 
     /// Whether the session is gone.

@@ -3,15 +3,15 @@
 
 use crate::archive::record::GenerationRecord;
 use crate::archive::{Contents, Found, Journal};
+use crate::chores::Chore;
 use crate::control::TaskControl;
 use crate::error::StoreError;
 use crate::live::LiveSession;
-use crate::pool::{CancelFlag, Place, catching};
+use crate::pool::{CancelFlag, catching};
 use crate::prepared::PreparedBodies;
 use crate::session::{Generation, SessionId};
 use crate::store::Shared;
 use crate::tasks::DEFAULT_TOLERANCE;
-use crate::work::PREPARATION;
 use std::sync::{Arc, PoisonError};
 use sutura_core::build::{BuildError, Recipe};
 use sutura_core::control::Control;
@@ -34,8 +34,8 @@ impl Shared {
         for found in found {
             let modified = found.modified;
             let session = Arc::new(LiveSession::found(found, self.surroundings.clone()));
-            order.push((session.has_simulation_config(), modified, session.id));
-            sessions.insert(session.id, session);
+            sessions.insert(session.id, session.clone());
+            order.push((session.has_simulation_config(), modified, session));
         }
         let newest = sessions.keys().next_back().copied();
         *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = newest;
@@ -44,31 +44,18 @@ impl Shared {
             return;
         }
         tracing::info!(n_sessions = order.len(), "sessions found");
-        order.sort_unstable();
-        let waiting = order.into_iter().map(|(_, _, id)| id).collect();
-        *self.to_restore.lock().unwrap_or_else(PoisonError::into_inner) = waiting;
-        self.restore_next();
-    }
-
-    /// Queues the next session to restore, behind everything that somebody waits for.
-    fn restore_next(self: &Arc<Self>) {
-        let next = || self.to_restore.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        while let Some(id) = next().filter(|_| self.is_within_budget()) {
-            let sessions = self.sessions.read().unwrap_or_else(PoisonError::into_inner);
-            let Some(session) = sessions.get(&id).cloned() else { continue };
-            drop(sessions);
-            let store = Arc::downgrade(self);
-            let run = move |cancel: &CancelFlag| {
-                let Some(store) = store.upgrade() else { return };
-                // What went wrong is in the log, and whoever asks for the session hears it.
-                let _ = store.restore(&session, cancel);
-                store.follow_up(&session);
-                store.restore_next();
-            };
-            match self.builds.submit(Place::new(PREPARATION).apart().in_lane(id), run) {
-                Ok(_) => return,
-                Err(error) => tracing::debug!(session = %id, %error, "not restored ahead"),
-            }
+        order.sort_unstable_by_key(|(was_simulated, modified, session)| {
+            std::cmp::Reverse((*was_simulated, *modified, session.id))
+        });
+        for (_, _, session) in order {
+            self.later(&session, Chore::Restoration, |store, session, cancel| {
+                // One that leaves memory for the next one gains nothing.
+                if store.is_within_budget() {
+                    // What went wrong is in the log, and whoever asks for the session hears it.
+                    let _ = store.restore(session, cancel);
+                    store.follow_up(session);
+                }
+            });
         }
     }
 

@@ -49,8 +49,6 @@ pub(crate) struct Shared {
     pub(crate) stepping: SteppingThreads,
     /// What outlives the process, if anything does.
     pub(crate) archive: Option<Arc<Archive>>,
-    /// Sessions of earlier processes whose bodies nobody has asked for yet, the next one last.
-    pub(crate) to_restore: Mutex<Vec<SessionId>>,
     /// The last name that a session was given.
     pub(crate) newest: Mutex<Option<SessionId>>,
     /// What other daemons have to do with it.
@@ -104,7 +102,6 @@ impl Store {
             queries: work::queries(work)?,
             stepping: SteppingThreads::start(work.n_stepping_threads, work.stepping_queue_limit)?,
             archive,
-            to_restore: Mutex::default(),
             newest: Mutex::default(),
             fleet: Fleet::default(),
             keeper: Keeper::default(),

@@ -1,5 +1,6 @@
 //! The store from the outside, on small real bodies.
 
+mod chores;
 mod interaction;
 pub(crate) mod storages;
 

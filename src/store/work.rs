@@ -39,7 +39,9 @@ pub(crate) fn builds(work: &WorkConfig) -> std::io::Result<Pool> {
         is_patient: true,
     };
     let restores = ClassLimits { name: "restore", n_running: left_over(1), ..builds };
-    let preparations = ClassLimits { name: "preparation", n_running: 1, ..builds };
+    // Nobody would ask again for what is refused; sessions bound how many wait (see `chores`).
+    let n_waiting = usize::MAX;
+    let preparations = ClassLimits { name: "preparation", n_waiting, n_running: 1, ..builds };
     Pool::start("build", n_threads, vec![edits, restores, builds, preparations])
 }
 

@@ -92,6 +92,11 @@ impl Place {
         Place { account, ..self }
     }
 
+    /// Called so, where its class does not tell.
+    pub(crate) fn called(self, what: &'static str) -> Place {
+        Place { what: Some(what), ..self }
+    }
+
     /// No part of what the caller does.
     pub(crate) fn apart(self) -> Place {
         Place { cause: tracing::Span::none(), ..self }
@@ -212,7 +217,7 @@ impl Pool {
         job: impl FnOnce(&CancelFlag) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
         let (reply, answer) = oneshot::channel();
-        let ticket = self.submit(Place { what: Some(what), ..place }, move |cancel| {
+        let ticket = self.submit(place.called(what), move |cancel| {
             // The caller may have gone meanwhile; then the answer is dropped.
             let _ = reply.send(catching(what, || job(cancel)));
         })?;

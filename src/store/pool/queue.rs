@@ -112,7 +112,8 @@ impl<T> FairQueue<T> {
     /// Takes out every task that `is_wanted` refuses.
     pub(super) fn retain(&mut self, is_wanted: impl Fn(&T) -> bool) -> Vec<T> {
         let mut removed = Vec::new();
-        for line in self.lines.values_mut() {
+        let is_touched = |line: &Line<T>| line.tasks.iter().any(|(_, task)| !is_wanted(task));
+        for line in self.lines.values_mut().filter(|line| is_touched(line)) {
             let (kept, others) =
                 std::mem::take(&mut line.tasks).into_iter().partition(|(_, task)| is_wanted(task));
             line.tasks = kept;
