@@ -95,6 +95,8 @@ pub(crate) struct Accuracy {
     pub(crate) name: String,
     pub(crate) n_free_dofs: usize,
     pub(crate) n_stitches: usize,
+    /// Pairs of the seam.
+    pub(crate) n_pairs: usize,
     /// Rigid motions before the stitches.
     pub(crate) n_rigid_modes: usize,
     pub(crate) loads: Vec<Summary>,
@@ -113,12 +115,20 @@ pub(crate) struct Accuracies {
     pub(crate) checks: Vec<(String, Check)>,
 }
 
-/// Measures `body` at an ordinary session's settings, closed by its own stitches.
-pub(crate) fn measure(body: &Body) -> Result<Accuracy, Failure> {
+/// `count` of `pairs`, spread evenly over them; all if there are no more.
+fn spread(pairs: &[[u32; 2]], count: usize) -> Vec<[u32; 2]> {
+    let count = count.min(pairs.len());
+    (0..count).map(|i| pairs[i * pairs.len() / count]).collect()
+}
+
+/// Measures `body` at an ordinary session's settings, closed by at most `most_stitches` of its own stitches.
+/// All of these are the seam that is prepared.
+pub(crate) fn measure(body: &Body, most_stitches: usize) -> Result<Accuracy, Failure> {
+    let closed = spread(&body.stitches, most_stitches);
     let before = build::build(body.mesh.clone(), &body.session(&[]), &Clock::start())?;
     let prepared = build::build(body.mesh.clone(), &body.session(&body.stitches), &Clock::start())?;
     build::prepare_seams(&prepared, &body.stitches, &Clock::start())?;
-    let edits = body.stitch(&body.stitches);
+    let edits = body.stitch(&closed);
     let made = |base: &Artifacts, method| {
         let params = RebuildParams::new(method, edits::TOLERANCE);
         build::rebuild(base, &edits, &params, &Clock::start()).map(|(made, _)| made)
@@ -150,7 +160,8 @@ pub(crate) fn measure(body: &Body) -> Result<Accuracy, Failure> {
     Ok(Accuracy {
         name: body.name.clone(),
         n_free_dofs: before.n_free_dofs(),
-        n_stitches: body.stitches.len(),
+        n_stitches: closed.len(),
+        n_pairs: body.stitches.len(),
         n_rigid_modes: before.n_rigid_modes(),
         loads: cases.into_iter().map(|case| case.summary).collect(),
         qualities,

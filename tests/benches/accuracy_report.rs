@@ -94,6 +94,7 @@ fn modes(results: &Accuracies) -> String {
         "Eigenvalues and principal angles against from scratch",
         &[
             "body",
+            "stitches",
             "basis",
             "eigenvalues, lower half",
             "all",
@@ -109,6 +110,7 @@ fn modes(results: &Accuracies) -> String {
             let [lower, all] = quality.worst_eigenvalue_errors();
             let mut cells = vec![
                 body.name.clone(),
+                format!("{} of {}", body.n_stitches, body.n_pairs),
                 quality.way.name().into(),
                 format!("{lower:.1e}"),
                 format!("{all:.1e}"),

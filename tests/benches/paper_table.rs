@@ -50,7 +50,7 @@ struct Arguments {
     /// Repetitions of everything.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
     repeat: u16,
-    /// Most stitches of an edit.
+    /// Most stitches of an edit; with --accuracy, of a body's own, spread over all, which are the seam.
     #[arg(long, default_value_t = 160)]
     stitches: usize,
     /// Vertices of the largest cube; 0 leaves the cubes out.

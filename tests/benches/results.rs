@@ -98,7 +98,7 @@ impl Plan {
             )?)?,
             Part::Session => serde_json::to_value(session::measure(&body)?)?,
             Part::Cubature => serde_json::to_value(cubature::measure(&body)?)?,
-            Part::Accuracy => serde_json::to_value(accuracy::measure(&body)?)?,
+            Part::Accuracy => serde_json::to_value(accuracy::measure(&body, self.most_stitches)?)?,
             Part::Vega => serde_json::to_value(session::measure_vega(&body, self.repeat)?)?,
             Part::Scaling => unreachable!("answered above"),
         })

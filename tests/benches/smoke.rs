@@ -122,7 +122,7 @@ fn every_part_runs_and_a_wrong_answer_is_noticed() {
 
 #[test]
 fn the_accuracy_of_a_rebuilt_basis_is_told() {
-    let results = plan().run_accuracy().unwrap();
+    let results = Plan { most_stitches: usize::MAX, ..plan() }.run_accuracy().unwrap();
     let wrong = results.wrong();
     assert!(wrong.is_empty(), "{wrong:?}");
     let body = &results.bodies[0];
@@ -145,6 +145,15 @@ fn the_accuracy_of_a_rebuilt_basis_is_told() {
     let pictures = pictures::draw_accuracy(&results, &directory).unwrap();
     let text = accuracy_report::markdown(&results, &pictures);
     assert!(text.contains("Static solutions") && !text.contains("NaN"), "{text}");
+
+    // An edit of a part of the seam.
+    let most_stitches = results.bodies[0].n_pairs / 2;
+    let part = Plan { most_stitches, ..plan() }.run_accuracy().unwrap();
+    assert_eq!(part.bodies[0].n_stitches, most_stitches);
+    let wrong = part.wrong();
+    assert!(wrong.is_empty(), "{wrong:?}");
+    let [_, _, prepared, ..] = &part.bodies[0].qualities[..] else { panic!("no edit in a seam") };
+    assert!(prepared.worst_eigenvalue_errors()[0] < 1e-4);
 
     // A spectrum that is not the stitched body's, and a truth that is none, are noticed.
     let mut bodies = results.bodies;
