@@ -7,6 +7,7 @@
 
 use crate::linalg;
 use faer::{Mat, MatRef};
+use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 
@@ -150,20 +151,21 @@ impl Dictionary {
         self.blocks.iter().map(|block| block.columns.ncols()).sum()
     }
 
-    /// Each block that `c` (p×k) uses, with its rows of `c`.
+    /// The columns that `c` (p×k) uses, with their rows of `c`: each block in pieces, as an edit of a part of
+    /// a seam uses a few columns of a block of hundreds.
     fn used<'a>(
         &'a self,
         c: MatRef<'a, f64>,
     ) -> impl Iterator<Item = (MatRef<'a, f64>, MatRef<'a, f64>)> {
         let mut at = 0;
-        self.blocks
-            .iter()
-            .map(move |block| {
-                let rows = c.subrows(at, block.columns.ncols());
-                at += block.columns.ncols();
-                (block.columns.as_ref(), rows)
+        self.blocks.iter().flat_map(move |block| {
+            let rows = c.subrows(at, block.columns.ncols());
+            at += block.columns.ncols();
+            pieces(rows).into_iter().map(move |piece| {
+                let columns = block.columns.as_ref().subcols(piece.start, piece.len());
+                (columns, rows.subrows(piece.start, piece.len()))
             })
-            .filter(|(_, rows)| rows.col_iter().any(|column| column.iter().any(|x| *x != 0.0)))
+        })
     }
 
     /// `D·C` (p×k → n×k).
@@ -193,6 +195,22 @@ impl Dictionary {
         }
         product
     }
+}
+
+/// Rows of zeros between others that are not worth a piece of their own.
+const NARROW_GAP: usize = 8;
+
+/// Ranges of rows without the gaps of zeros between them.
+fn pieces(rows: MatRef<'_, f64>) -> Vec<Range<usize>> {
+    let mut pieces: Vec<Range<usize>> = Vec::new();
+    let is_used = |i: &usize| rows.row(*i).iter().any(|x| *x != 0.0);
+    for i in (0..rows.nrows()).filter(is_used) {
+        match pieces.last_mut() {
+            Some(piece) if i - piece.end <= NARROW_GAP => piece.end = i + 1,
+            _ => pieces.push(i..i + 1),
+        }
+    }
+    pieces
 }
 
 fn gather(x: MatRef<'_, f64>, rows: &[Option<usize>]) -> Mat<f64> {
@@ -405,16 +423,13 @@ mod tests {
         let block = |seed: usize, k| {
             Block::new(Mat::from_fn(9000, k, |i, j| ((i * (j + 2) + seed) as f64).sin()))
         };
-        let dictionary = Dictionary::new(vec![block(1, 3), block(2, 5), block(3, 2)]);
-        // The second block is not used.
-        let w =
-            Mat::from_fn(
-                10,
-                4,
-                |i, j| {
-                    if (3..8).contains(&i) { 0.0 } else { ((3 * i + j) as f64).cos() }
-                },
-            );
+        let dictionary = Dictionary::new(vec![block(1, 3), block(2, 5), block(3, 30)]);
+        // The second block is not used, and of the third what lies beside gaps, a narrow and a wide one.
+        let is_used = |i: usize| i < 3 || [8, 12, 13, 30, 37].contains(&i);
+        let w = Mat::from_fn(38, 4, |i, j| f64::from(is_used(i)) * ((3 * i + j) as f64).cos());
+        assert_eq!(pieces(w.as_ref()), [0..14, 30..38]);
+        assert_eq!(pieces(w.as_ref().subrows(8, 30)), [0..6, 22..30]);
+        assert!(pieces(w.as_ref().subrows(3, 5)).is_empty());
         let parts: Vec<_> = dictionary.blocks().iter().map(|b| b.columns.as_ref()).collect();
         let expected = linalg::product(linalg::concatenate(&parts).as_ref(), w.as_ref());
         let lazy = Combination::new(dictionary, w);
