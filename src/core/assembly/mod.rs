@@ -4,6 +4,7 @@
 //! ascending order, vertex-major (dof = 3·vertex + axis). Displacements in m, forces in N,
 //! energies in J.
 
+mod forces;
 mod kernels;
 pub(crate) use kernels::stresses;
 pub mod mass;
@@ -299,17 +300,6 @@ impl FullModel {
             row
         });
         BlockMatrix::new(pattern.clone(), blocks)
-    }
-
-    /// Internal force +∂Ψ/∂u at `u` (n numbers).
-    pub fn internal_force(&self, u: &[f64]) -> Vec<f64> {
-        let u = MatRef::from_column_major_slice(u, u.len(), 1);
-        self.internal_forces(u).col_as_slice(0).to_vec()
-    }
-
-    /// Internal force +∂Ψ/∂u at each column of `u` (n×t).
-    pub fn internal_forces(&self, u: MatRef<'_, f64>) -> Mat<f64> {
-        self.tiles.internal_forces(u, &self.elasticities, &self.volumes_m3)
     }
 
     /// Row a of the tangent stiffness of a tet of any law: V Σ_jl g_a[j] ∂P_ij/∂F_kl g_b[l]. The stress's

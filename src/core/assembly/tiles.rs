@@ -10,7 +10,7 @@
 //! 38 ns with one tet a lane, where scalar gathers and scatters were most of the time.
 
 use super::NOT_FREE;
-use super::kernels::{Forces, SecondDerivatives};
+use super::kernels::SecondDerivatives;
 use crate::material::{Elasticity, Hyperelastic, Law};
 use faer::{Mat, MatRef};
 use rayon::prelude::*;
@@ -22,7 +22,7 @@ pub(super) const LANES: usize = 8;
 const TETS_PER_TILE: usize = 1024;
 
 /// Groups of eight results that one pass over the tets makes; bounds the memory of the tiles' rows.
-const MOST_GROUPS: usize = 5;
+pub(super) const MOST_GROUPS: usize = 5;
 
 /// Vertices whose results one task adds up.
 const VERTICES_PER_TASK: usize = 512;
@@ -30,7 +30,7 @@ const VERTICES_PER_TASK: usize = 512;
 /// The three components of [`LANES`] vectors at one vertex.
 pub(super) type Row = [[f64; LANES]; 3];
 
-const NO_ROW: Row = [[0.0; LANES]; 3];
+pub(super) const NO_ROW: Row = [[0.0; LANES]; 3];
 
 /// A tet, with all that sums over tets need of it in one place.
 #[derive(Clone, Debug)]
@@ -182,34 +182,6 @@ impl ElementTiles {
         order
     }
 
-    /// Internal force of each column of `u` (n×t), in N; materials and volumes tet by tet of the mesh.
-    pub fn internal_forces(
-        &self,
-        u: MatRef<'_, f64>,
-        elasticities: &[Elasticity],
-        volumes_m3: &[f64],
-    ) -> Mat<f64> {
-        let columns: Vec<usize> = (0..u.ncols()).collect();
-        let groups: Vec<Vec<Option<usize>>> = columns
-            .chunks(LANES)
-            .map(|lanes| lanes.iter().map(|&column| Some(column)).collect())
-            .collect();
-        let mut all = Mat::zeros(u.nrows(), u.ncols());
-        let mut rows = self.no_rows(groups.len());
-        for (batch, groups) in groups.chunks(MOST_GROUPS).enumerate() {
-            let n_groups = groups.len();
-            self.for_each_tile(&mut rows, n_groups, |tile, sums| {
-                let x: Vec<Vec<Row>> = (0..n_groups)
-                    .map(|group| tile.gather(u, (batch * MOST_GROUPS + group) * LANES))
-                    .collect();
-                let forces = Forces { tile, elasticities, volumes_m3, x: &x, sums };
-                pulp::Arch::new().dispatch(forces);
-            });
-            self.add_up(&rows, groups, &mut all);
-        }
-        all
-    }
-
     /// scale·(H:x_i)x_j = scale·D²f(0)[x_i, x_j] for every pair i ≤ j of the columns of `x` (n×k), in the
     /// order (0, 0), (0, 1), (1, 1), (0, 2), …: n × k(k+1)/2.
     ///
@@ -230,6 +202,7 @@ impl ElementTiles {
                 };
                 for partners in partners.chunks(MOST_GROUPS) {
                     self.for_each_tile(&mut rows, partners.len(), |tile, sums| {
+                        sums.fill(NO_ROW);
                         let a = tile.gather(x, first);
                         let b = (first != second).then(|| tile.gather(x, second));
                         let b = b.as_deref();
@@ -258,13 +231,13 @@ impl ElementTiles {
     }
 
     /// Rows of all tiles for up to [`MOST_GROUPS`] of `n_groups` groups.
-    fn no_rows(&self, n_groups: usize) -> Vec<Row> {
+    pub(super) fn no_rows(&self, n_groups: usize) -> Vec<Row> {
         vec![NO_ROW; self.n_rows * n_groups.min(MOST_GROUPS)]
     }
 
-    /// Calls `work(tile, sums)` for every tile, `sums` holding `n_groups` zero rows for each of its vertices
+    /// Calls `work(tile, sums)` for every tile, `sums` being `n_groups` of `rows` for each of its vertices
     /// and for the corners that cannot move.
-    fn for_each_tile(
+    pub(super) fn for_each_tile(
         &self,
         rows: &mut [Row],
         n_groups: usize,
@@ -277,10 +250,7 @@ impl ElementTiles {
             pieces.push((tile, piece));
             rest = tail;
         }
-        pieces.into_par_iter().for_each(|(tile, sums)| {
-            sums.fill(NO_ROW);
-            work(tile, sums);
-        });
+        pieces.into_par_iter().for_each(|(tile, sums)| work(tile, sums));
     }
 
     /// Adds up the rows of all tiles into the columns of `all`; `groups` names the column of each lane.
@@ -293,18 +263,7 @@ impl ElementTiles {
                 let mut sums = vec![NO_ROW; n_vertices];
                 for (group, columns) in groups.iter().enumerate() {
                     for (v, sum) in (first..).zip(&mut sums) {
-                        *sum = NO_ROW;
-                        for &row in
-                            &self.rows[self.row_start[v] as usize..self.row_start[v + 1] as usize]
-                        {
-                            for (sum, part) in
-                                sum.iter_mut().zip(&rows[row as usize * n_groups + group])
-                            {
-                                for (s, p) in sum.iter_mut().zip(part) {
-                                    *s += p;
-                                }
-                            }
-                        }
+                        *sum = self.sum(rows, [n_groups, group], v);
                     }
                     for (lane, column) in columns.iter().enumerate() {
                         let Some(column) = column else { continue };
@@ -321,6 +280,20 @@ impl ElementTiles {
         );
     }
 
+    /// What all tiles have for the free vertex `v` in one of `n_groups` groups.
+    #[inline(always)]
+    pub(super) fn sum(&self, rows: &[Row], [n_groups, group]: [usize; 2], v: usize) -> Row {
+        let mut sum = NO_ROW;
+        for &row in &self.rows[self.row_start[v] as usize..self.row_start[v + 1] as usize] {
+            for (sum, part) in sum.iter_mut().zip(&rows[row as usize * n_groups + group]) {
+                for (s, p) in sum.iter_mut().zip(part) {
+                    *s += p;
+                }
+            }
+        }
+        sum
+    }
+
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         size_of_val(&self.elements[..])
@@ -331,6 +304,11 @@ impl ElementTiles {
 }
 
 impl Tile<'_> {
+    /// The rows that `row` has for its vertices, with a row at rest behind them.
+    pub(super) fn rows_of(&self, row: impl Fn(usize) -> Row) -> Vec<Row> {
+        self.vertices.iter().map(|&v| row(v as usize)).chain([NO_ROW]).collect()
+    }
+
     /// The rows of columns `first..` of `x`, [`LANES`] at most, with a row at rest behind them.
     fn gather(&self, x: MatRef<'_, f64>, first: usize) -> Vec<Row> {
         let mut rows = vec![NO_ROW; self.vertices.len() + 1];

@@ -394,7 +394,7 @@ impl Artifacts {
         let stitched = linalg::gram(stretch.as_ref(), stretch.as_ref());
         let stitch_force = linalg::small_product(stitched.as_ref(), q.as_ref());
         let stitch_energy: f64 = q.col(0).transpose() * stitch_force.col(0);
-        let mut force = linalg::gram(basis, model.internal_forces(u.as_ref()).as_ref());
+        let mut force = model.reduced_forces(basis, q.as_ref());
         force += &stitch_force;
         let u = u.col_as_slice(0);
         let tangent = model.tangent_stiffness(u, self.prepared.stiffness.pattern());

@@ -64,9 +64,8 @@ impl<'a> Samples<'a> {
         let mut forces = Vec::new();
         for first in (0..q.ncols()).step_by(POSES_AT_A_TIME) {
             let some = q.subcols(first, POSES_AT_A_TIME.min(q.ncols() - first));
-            let u = basis.times(some);
             control::check(control)?;
-            forces.push(basis.gram(model.internal_forces(u.as_ref()).as_ref()));
+            forces.push(model.reduced_forces(basis.dense(), some));
         }
         let force = linalg::concatenate(&forces.iter().map(Mat::as_ref).collect::<Vec<_>>());
         let mut target = linalg::small_product(norm.coefficients.transpose(), force.as_ref());

@@ -129,6 +129,27 @@ fn tiled_sums_are_the_sums_over_tets() {
 }
 
 #[test]
+fn reduced_forces_are_the_products_of_forces_with_the_basis() {
+    // More vertices than one task takes, and vectors than one pass over the tets does.
+    let bar =
+        Bar { size_m: [0.3, 0.2, 0.2], n_cells: [8, 6, 6], cell: Cell::Five, cut: Cut::HalfDepth };
+    let bar = bar.mesh();
+    let model = FullModel::new(bar.mesh, &[soft()], &bar.root);
+    let basis = Mat::from_fn(model.n(), 7, |i, j| ((3 * i + 7 * j * i) as f64).sin());
+    for t in [1, 8, 50] {
+        let q = Mat::from_fn(7, t, |i, j| 0.1 * AMPLITUDE_M * ((2 * i + 3 * j) as f64).cos());
+        let mut exact = Mat::zeros(7, t);
+        for pose in 0..t {
+            let force =
+                model.internal_force((&basis * q.col(pose)).try_as_col_major().unwrap().as_slice());
+            exact.col_mut(pose).copy_from(basis.transpose() * column(&force).col(0));
+        }
+        let found = model.reduced_forces(basis.as_ref(), q.as_ref());
+        assert!((&found - &exact).norm_l2() < 1e-13 * exact.norm_l2());
+    }
+}
+
+#[test]
 fn stiffness_is_symmetric_and_at_rest_is_the_tangent_at_zero() {
     let mesh = irregular();
     let model = FullModel::new(mesh, &[soft()], &[7]);
