@@ -215,8 +215,7 @@ impl<'a> Fit<'a> {
             diagonal_m: prepared.model.mesh().diagonal(),
         };
         let norm = EnergyNorm::new(reduced_stiffness.as_ref())?;
-        // The poses of a validation take two products with the dictionary, as much as making the basis,
-        // which somebody will ask for.
+        // Forces at the poses take it. Made before the probes of the poses, which are its rows then.
         basis.dense();
         Ok(Fit { prepared, basis, norm, poses: PoseSource::new(shapes, basis), params })
     }

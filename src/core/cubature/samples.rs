@@ -296,7 +296,7 @@ mod tests {
         let (model, basis, norm, q, stiffness) = case(5);
         let rule = Rule { tets: vec![1, 20, 50], weights: vec![12.0, 30.0, 7.0] };
         let force = |q: &[f64]| {
-            let u = basis.times(Mat::from_fn(5, 1, |i, _| q[i]).as_ref());
+            let u = basis.dense() * Mat::from_fn(5, 1, |i, _| q[i]);
             let mut sum = Mat::<f64>::zeros(5, 1);
             for (&tet, weight) in rule.tets.iter().zip(&rule.weights) {
                 let d = model.displacement_gradient(tet as usize, u.col_as_slice(0));
@@ -310,7 +310,7 @@ mod tests {
                 sum += basis.rows(&model.corner_dofs(tet as usize)).transpose() * corners;
             }
             let exact = model.internal_force(u.col_as_slice(0));
-            let exact = basis.gram(Mat::from_fn(exact.len(), 1, |i, _| exact[i]).as_ref());
+            let exact = basis.dense().transpose() * Mat::from_fn(exact.len(), 1, |i, _| exact[i]);
             (&sum - &exact, exact)
         };
         let inverse = linalg::SmallCholesky::new(stiffness.as_ref()).unwrap();
