@@ -33,6 +33,10 @@ const RETRAINING_FACTOR: f64 = 2.0;
 
 /// Share of the training poses that weights are refitted to: every pose gives one equation for each
 /// basis column, and the points are already chosen.
+///
+/// Held-out errors after edits of the small plant: 11.3 % as they were, 5.9, 5.3, 5.0 % refitted to 0.2, 0.4
+/// and all of them; 23.0, then 3.5, 2.9, 2.8 %. On the stomach (105 264 unknowns) refitting seldom helps: 11.6,
+/// then 12.9, 11.6, 11.2 %, for twice the time of the rest of such an edit. What tells beforehand was not looked for.
 const REFITTING_SHARE: f64 = 0.4;
 
 /// Columns of the basis that the stiffness multiplies at a time, for the sake of memory.
