@@ -78,6 +78,17 @@ impl<'a> Samples<'a> {
         Ok(Samples { model, basis, norm, q, target, scale })
     }
 
+    /// These poses, then those of `others`, of the same body and basis.
+    pub fn with(self, others: Samples<'a>) -> Samples<'a> {
+        let joined = |a: &Mat<f64>, b: &Mat<f64>| linalg::concatenate(&[a.as_ref(), b.as_ref()]);
+        Samples {
+            q: joined(&self.q, &others.q),
+            target: joined(&self.target, &others.target),
+            scale: [self.scale, others.scale].concat(),
+            ..self
+        }
+    }
+
     /// Numbers in [`Samples::contribution`]: equations of the fit.
     pub(super) fn n_equations(&self) -> usize {
         self.target.nrows() * self.target.ncols()
@@ -289,6 +300,19 @@ mod tests {
         assert!(samples.error(&rule) < 1e-12);
         let nothing = Rule { tets: Vec::new(), weights: Vec::new() };
         assert!((samples.error(&nothing) - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn poses_may_be_taken_one_part_after_the_other() {
+        let (model, basis, norm, q, _) = case(5);
+        let of = |q: Mat<f64>| Samples::new(&model, &basis, &norm, q, &Uncontrolled).unwrap();
+        let [some, others] = [q.subcols(0, 4), q.subcols(4, 7)].map(|q| of(q.to_owned()));
+        let (all, joined) = (of(q), some.with(others));
+        assert_eq!(joined.n_poses(), all.n_poses());
+        let tets = [1, 20, 50];
+        let [exact, found] = [&all, &joined].map(|samples| samples.equations(&tets));
+        assert!((exact.0 - found.0).norm_max() < 1e-12);
+        assert!(exact.1.iter().zip(&found.1).all(|(a, b)| (a - b).abs() < 1e-12));
     }
 
     #[test]
