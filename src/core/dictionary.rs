@@ -169,7 +169,7 @@ impl Dictionary {
     }
 
     /// `D·C` (p×k → n×k).
-    pub fn times(&self, c: MatRef<'_, f64>) -> Mat<f64> {
+    fn times(&self, c: MatRef<'_, f64>) -> Mat<f64> {
         let mut product = Mat::zeros(self.blocks[0].columns.nrows(), c.ncols());
         let (blocks, rows): (Vec<_>, Vec<_>) = self.used(c).unzip();
         linalg::add_products(product.as_mut(), &blocks, &rows);

@@ -97,7 +97,11 @@ impl Shared {
             run(&store, &session, cancel);
         };
         let place = Place::new(PREPARATION).apart().called(chore.name());
-        let place = place.charged_to(session.account());
+        let place = match chore {
+            // The store's own work: in the order in which it was queued, whosever the sessions are.
+            Chore::Restoration => place,
+            _ => place.charged_to(session.account()),
+        };
         let place = if chore.is_in_lane() { place.in_lane(session.id) } else { place };
         match self.builds.submit(place, task) {
             Ok(ticket) => Some(ticket),

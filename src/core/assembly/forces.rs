@@ -20,13 +20,13 @@ const VERTICES_PER_TASK: usize = 128;
 const MOST_VECTORS: usize = LANES * MOST_GROUPS;
 
 impl FullModel {
-    /// Internal force +∂Ψ/∂u at `u` (n numbers).
+    /// Internal force +∂Ψ/∂u at `u` (n numbers, in m), in N.
     pub fn internal_force(&self, u: &[f64]) -> Vec<f64> {
         let u = MatRef::from_column_major_slice(u, u.len(), 1);
         self.internal_forces(u).col_as_slice(0).to_vec()
     }
 
-    /// Internal force +∂Ψ/∂u at each column of `u` (n×t).
+    /// Internal force +∂Ψ/∂u at each column of `u` (n×t, in m), in N.
     pub fn internal_forces(&self, u: MatRef<'_, f64>) -> Mat<f64> {
         let mut forces = Mat::zeros(u.nrows(), u.ncols());
         for first in (0..u.ncols()).step_by(MOST_VECTORS) {
@@ -44,7 +44,8 @@ impl FullModel {
         forces
     }
 
-    /// Uᵀf(Uq) at each column of `q`, U being `basis` (n×r, r×t → r×t).
+    /// The exact reduced internal force Uᵀf(Uq) (\[M16\] §4.3) at each column of `q`, U being `basis`
+    /// (n×r, r×t → r×t).
     pub fn reduced_forces(&self, basis: MatRef<'_, f64>, q: MatRef<'_, f64>) -> Mat<f64> {
         let mut forces = Mat::zeros(q.nrows(), q.ncols());
         for first in (0..q.ncols()).step_by(MOST_VECTORS) {

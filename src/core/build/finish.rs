@@ -37,7 +37,7 @@ const RETRAINING_FACTOR: f64 = 2.0;
 ///
 /// Held-out errors after edits of the small plant: 11.3 % as they were, 5.9, 5.3, 5.0 % refitted to 0.2, 0.4
 /// and all of them; 23.0, then 3.5, 2.9, 2.8 %. On the stomach (105 264 unknowns) refitting seldom helps: 11.6,
-/// then 12.9, 11.6, 11.2 %, for as much time as the rest of such an edit takes. So half of the share goes first.
+/// then 12.9, 11.6, 11.2 %, for about as much time as the rest of such an edit takes. So half of the share goes first.
 const REFITTING_SHARE: f64 = 0.4;
 
 /// Columns of the basis that the stiffness multiplies at a time, for the sake of memory.

@@ -112,6 +112,7 @@ impl<T> FairQueue<T> {
     /// Takes out every task that `is_wanted` refuses.
     pub(super) fn retain(&mut self, is_wanted: impl Fn(&T) -> bool) -> Vec<T> {
         let mut removed = Vec::new();
+        // Whoever gives up a task does so often, and mostly one line of many has it.
         let is_touched = |line: &Line<T>| line.tasks.iter().any(|(_, task)| !is_wanted(task));
         for line in self.lines.values_mut().filter(|line| is_touched(line)) {
             let (kept, others) =
