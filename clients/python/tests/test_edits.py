@@ -33,6 +33,8 @@ def test_an_incision_is_closed_over_http_and_over_zenoh(
     assert (closed.generation, closed.n_stitches) == (2, 9)
     assert closed.frequencies_hz[0] > first.frequencies_hz[0]
     published = next(generations)
+    if published.generation == 1:  # The first edit's, which was answered before it was published.
+        published = next(generations)
     assert (published.generation, published.n_stitches) == (2, 9)
     generations.close()
     prepared(session, 9)
