@@ -29,6 +29,10 @@ pub struct EditRequest {
     /// How the linear modes follow. Default: `flexibility`.
     #[serde(default)]
     pub method: EditMethod,
+    /// Which modal derivatives the basis gets after an edit inside a seam (`flexibility` only). Default:
+    /// `prepared`.
+    #[serde(default)]
+    pub derivatives: EditDerivatives,
     /// Relative eigenvalue error accepted in the lower half of the modes (`flexibility` only).
     /// Default: 1e-4.
     #[serde(default = "default_tolerance")]
@@ -58,6 +62,20 @@ pub enum EditMethod {
     LowRank,
     /// Everything anew.
     FromScratch,
+}
+
+/// Which modal derivatives the basis gets after an edit inside a seam: `prepared`, what can be combined of those of
+/// the open and of the closed seam, without a solve; or `own`, those of the stitched body, solved for where its modes
+/// differ from theirs by more than 3 %, as they may where a part of the seam is stitched. A warning tells of such a
+/// difference where they are not solved for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum EditDerivatives {
+    /// Combined, at the speed of a seam.
+    #[default]
+    Prepared,
+    /// As good as those from scratch, for some dozens of solves where combined ones are not.
+    Own,
 }
 
 /// One change.
@@ -139,6 +157,7 @@ impl EditRequest {
             base_generation: None,
             restore: None,
             method: EditMethod::default(),
+            derivatives: EditDerivatives::default(),
             tolerance: default_tolerance(),
             deadline_ms: None,
             edits,

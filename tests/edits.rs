@@ -7,10 +7,12 @@ use crate::bodies::{
 use crate::daemon::Daemon;
 use std::collections::BTreeSet;
 use std::time::Duration;
-use sutura_client::proto::edit::{Edit, EditMethod, EditRequest, Verdict};
+use sutura_client::proto::edit::{
+    Edit, EditDerivatives, EditMethod, EditReply, EditRequest, Verdict,
+};
 use sutura_client::proto::event::Event;
 use sutura_client::proto::session::{SessionConfig, SessionState};
-use sutura_client::{Arrays, Error, Generation, Tracker};
+use sutura_client::{Arrays, Basis, Error, EventStream, Generation, Tracker};
 
 /// Largest relative difference of corresponding numbers.
 fn difference(a: &[f64], b: &[f64]) -> f64 {
@@ -342,6 +344,51 @@ async fn seams_are_prepared_in_the_background_and_can_be_added_to_an_open_sessio
     assert_eq!((problem.status, problem.instance_pointer.as_deref()), (422, Some("/pairs/1")));
 }
 
+/// Waits until `events` tell of the generation `number`.
+async fn until_made(events: &mut EventStream, number: u64) {
+    let made = async {
+        while let Some(event) = events.next().await.unwrap() {
+            if matches!(&event, Event::Generation(made) if made.generation == number) {
+                return;
+            }
+        }
+        panic!("the session ended");
+    };
+    tokio::time::timeout(Duration::from_secs(60), made).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn part_of_a_seam_gets_derivatives_of_its_own_when_asked_for() {
+    let daemon = Daemon::start();
+    let session = ready_bar(&daemon).await;
+    session.add_seams(&seam()).await.unwrap();
+    prepared(&session, seam().len()).await;
+    let part = stitch(&seam()[..4]);
+    let tells =
+        |reply: &EditReply| reply.warnings.iter().any(|w| w.contains("derivatives of the open"));
+    let verdict = |reply: &EditReply| reply.certificate.verdict;
+    let combined = session.edit(&part).await.unwrap();
+    assert_eq!(verdict(&combined), Verdict::Patched);
+    assert!(tells(&combined) && !combined.certificate.is_unfinished, "{:?}", combined.warnings);
+
+    let again = EditRequest { restore: Some(0), derivatives: EditDerivatives::Own, ..part };
+    let own = session.edit(&again).await.unwrap();
+    assert_eq!(verdict(&own), Verdict::Refined);
+    assert!(!tells(&own), "{:?}", own.warnings);
+    assert_eq!(own.eigenvalues_per_s2, combined.eigenvalues_per_s2);
+
+    // At once what is prepared, then its own.
+    let mut events = session.events().await.unwrap();
+    let first = session.edit(&EditRequest { deadline_ms: Some(0.0), ..again }).await.unwrap();
+    assert_eq!(verdict(&first), Verdict::Patched);
+    assert!(tells(&first) && first.certificate.is_unfinished);
+    until_made(&mut events, first.generation + 1).await;
+    let own: Basis<f64> = session.basis(own.generation.into()).await.unwrap();
+    let improved: Basis<f64> = session.basis(Generation::Current).await.unwrap();
+    assert_eq!(own.size(), improved.size());
+    assert!((0..own.size()).all(|i| own.column(i).eq(improved.column(i))));
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_deadline_is_kept_and_the_rest_follows() {
     let daemon = Daemon::start();
@@ -354,15 +401,7 @@ async fn a_deadline_is_kept_and_the_rest_follows() {
     let first = session.edit(&request).await.unwrap();
     assert_eq!(first.certificate.verdict, Verdict::Patched);
     assert!(first.certificate.is_unfinished && !first.certificate.is_met);
-    let improved = async {
-        while let Some(event) = events.next().await.unwrap() {
-            if matches!(&event, Event::Generation(made) if made.generation == first.generation + 1)
-            {
-                return;
-            }
-        }
-    };
-    tokio::time::timeout(Duration::from_secs(60), improved).await.unwrap();
+    until_made(&mut events, first.generation + 1).await;
     let info = session.info().await.unwrap();
     assert_eq!((info.generation, info.n_stitches), (first.generation + 1, first.n_stitches));
     assert!(difference(&info.frequencies_hz, &first.frequencies_hz) < 1e-2);

@@ -326,10 +326,10 @@ impl Combination {
         finite(self.coefficients()) && own.all(|block| finite(block.columns.as_ref()))
     }
 
-    /// Bytes of what belongs to this combination alone.
-    pub fn bytes(&self) -> usize {
-        let whole = self.dictionary.blocks.iter().filter(|_| self.is_whole);
-        whole.map(|block| linalg::bytes(&block.columns)).sum::<usize>()
+    /// Bytes held, without the blocks that `is_shared` names.
+    pub fn bytes(&self, is_shared: impl Fn(&Block) -> bool) -> usize {
+        let own = self.dictionary.blocks.iter().filter(|block| !is_shared(block));
+        own.map(|block| linalg::bytes(&block.columns)).sum::<usize>()
             + linalg::bytes(&self.coefficients)
             + self.dense.get().map_or(0, linalg::bytes)
     }

@@ -93,7 +93,10 @@ impl Shared {
         let ticket = self.later(session, Chore::Improvement, move |store, session, cancel| {
             let Some(generation) = unfinished(session) else { return };
             let control = TaskControl::silent(cancel);
-            let params = RebuildParams::new(Method::Flexibility, generation.tolerance);
+            let params = RebuildParams {
+                derivatives: generation.artifacts.derivatives(),
+                ..RebuildParams::new(Method::Flexibility, generation.tolerance)
+            };
             let improved = catching("an improvement", || {
                 let made = rebuild(&generation.artifacts, &[], &params, &control);
                 Ok(made.map_err(StoreError::from)?.0)

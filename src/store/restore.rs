@@ -1,7 +1,7 @@
 //! Bodies of sessions that earlier processes left, or that have left memory: read, or made again from what is kept of
 //! them.
 
-use crate::archive::record::GenerationRecord;
+use crate::archive::generation::GenerationRecord;
 use crate::archive::{Contents, Found, Journal};
 use crate::chores::Chore;
 use crate::control::TaskControl;

@@ -3,7 +3,7 @@
 use crate::error::StoreError;
 use std::sync::Arc;
 use std::time::Duration;
-use sutura_core::build::{Artifacts, BuildParams, Method};
+use sutura_core::build::{Artifacts, BuildParams, Derivatives, Method};
 use sutura_core::control::Stage;
 use sutura_core::edit::{Edit, StitchId};
 use sutura_core::mesh::TetMesh;
@@ -182,6 +182,8 @@ pub struct EditRequest {
     pub restore: Option<u64>,
     /// How the linear modes follow.
     pub method: Method,
+    /// Where the derivatives of an edit inside a seam come from.
+    pub derivatives: Derivatives,
     /// Relative eigenvalue error accepted (see [`sutura_core::build::RebuildParams`]).
     pub tolerance: f64,
     /// Time in which to answer with the best that fits; the rest follows in the background, as a

@@ -140,8 +140,10 @@ fn next_generation(
     let previous = restored.as_deref().unwrap_or(previous);
     check::n_stitches(previous.artifacts.stitches().len(), &request.edits, &config.limits)?;
     let params = RebuildParams {
+        method: request.method,
+        derivatives: request.derivatives,
+        tolerance: request.tolerance,
         deadline: request.deadline,
-        ..RebuildParams::new(request.method, request.tolerance)
     };
     let (artifacts, stitch_ids) = rebuild(&previous.artifacts, &request.edits, &params, control)?;
     if control.is_cancelled() {

@@ -18,7 +18,7 @@ use std::sync::mpsc;
 use std::task::{Context, Waker};
 use std::time::Duration;
 use sutura_core::build::{
-    BuildParams, CubatureParams, MassKind, Method, RayleighDamping, Selection,
+    BuildParams, CubatureParams, Derivatives, MassKind, Method, RayleighDamping, Selection,
 };
 use sutura_core::edit::{Edit, EditError};
 use sutura_core::material::Material;
@@ -141,6 +141,7 @@ pub(crate) fn stitch(pairs: &[[u32; 2]]) -> EditRequest {
         base_generation: None,
         restore: None,
         method: Method::Flexibility,
+        derivatives: Derivatives::default(),
         tolerance: 1e-4,
         edits: vec![Edit::Stitch { pairs: pairs.to_vec(), stiffness_n_m: 1e5 }],
     }

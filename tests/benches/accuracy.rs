@@ -10,7 +10,7 @@ use crate::peers::{Ratio, Target};
 use faer::{Mat, MatRef};
 use serde::{Deserialize, Serialize};
 use sutura_core::assembly::mass::Mass;
-use sutura_core::build::{self, Artifacts, Method, RebuildParams};
+use sutura_core::build::{self, Artifacts, Derivatives, Method, RebuildParams, Verdict};
 use sutura_core::linalg;
 use sutura_core::modes::{self, rigid};
 use sutura_core::testing::statics::StitchedBody;
@@ -32,17 +32,24 @@ pub(crate) enum Way {
     Flexibility,
     /// The stitched pairs were named as seams.
     FlexibilityPrepared,
+    /// The same with derivatives of its own, where what is prepared knows too little of the stitched body.
+    FlexibilityOwn,
     LowRank,
     /// The basis from before the stitches, with the rigid motions if the body is free.
     Original,
 }
 
 impl Way {
+    fn is_by_flexibility(self) -> bool {
+        matches!(self, Way::Flexibility | Way::FlexibilityPrepared | Way::FlexibilityOwn)
+    }
+
     pub(crate) fn name(self) -> &'static str {
         match self {
             Way::FromScratch => "from scratch",
             Way::Flexibility => "`flexibility`",
             Way::FlexibilityPrepared => "`flexibility`, seams",
+            Way::FlexibilityOwn => "`flexibility`, seams, `own` derivatives",
             Way::LowRank => "`low_rank`",
             Way::Original => "original",
         }
@@ -134,11 +141,19 @@ pub(crate) fn measure(body: &Body, most_stitches: usize) -> Result<Accuracy, Fai
         build::rebuild(base, &edits, &params, &Clock::start()).map(|(made, _)| made)
     };
     let exact = made(&before, Method::FromScratch)?;
-    let rebuilt = [
+    let mut rebuilt = vec![
         (Way::Flexibility, made(&before, Method::Flexibility)?),
         (Way::FlexibilityPrepared, made(&prepared, Method::Flexibility)?),
-        (Way::LowRank, made(&before, Method::LowRank)?),
     ];
+    let params = RebuildParams {
+        derivatives: Derivatives::Own,
+        ..RebuildParams::new(Method::Flexibility, edits::TOLERANCE)
+    };
+    let (own, _) = build::rebuild(&prepared, &edits, &params, &Clock::start())?;
+    if own.certificate().verdict == Verdict::Refined {
+        rebuilt.push((Way::FlexibilityOwn, own));
+    }
+    rebuilt.push((Way::LowRank, made(&before, Method::LowRank)?));
     drop(prepared);
 
     let statics = StitchedBody::new(exact.full_model(), exact.stitches())?;
@@ -191,7 +206,7 @@ impl Truth<'_> {
         }
         let pairs = made.eigenvalues_per_s2().iter().zip(self.exact.eigenvalues_per_s2());
         let excess: Vec<f64> = pairs.map(|(found, exact)| found / exact - 1.0).collect();
-        if matches!(way, Way::Flexibility | Way::FlexibilityPrepared) {
+        if way.is_by_flexibility() {
             let below = excess.iter().map(|e| -e).fold(0.0, f64::max);
             checks.push(Check::at_most("Ritz values below the exact eigenvalues", below, EXACT));
         }
@@ -322,7 +337,7 @@ impl Accuracy {
         let (lower, all, statics) = TARGETS;
         let exact = &self.qualities[0];
         for quality in &self.qualities[1..] {
-            if !matches!(quality.way, Way::Flexibility | Way::FlexibilityPrepared) {
+            if !quality.way.is_by_flexibility() {
                 continue;
             }
             let name = quality.way.name();

@@ -19,6 +19,7 @@ from .errors import DecodeError, Problem
 
 Numbers: TypeAlias = npt.NDArray[np.float64]
 Method: TypeAlias = Literal["flexibility", "low_rank", "from_scratch"]
+Derivatives: TypeAlias = Literal["prepared", "own"]
 """How the linear modes follow an edit."""
 
 _D = TypeVar("_D")

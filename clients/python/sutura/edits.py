@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from .documents import Method
+from .documents import Derivatives, Method
 
 Edit: TypeAlias = Mapping[str, Any]
 Pairs: TypeAlias = npt.ArrayLike
@@ -58,6 +58,7 @@ def request(
     edits: Edit | Iterable[Edit],
     *,
     method: Method | None = None,
+    derivatives: Derivatives | None = None,
     tolerance: float | None = None,
     deadline_ms: float | None = None,
     base_generation: int | None = None,
@@ -67,6 +68,7 @@ def request(
     listed = [edits] if isinstance(edits, Mapping) else list(edits)
     members = {
         "method": method,
+        "derivatives": derivatives,
         "tolerance": tolerance,
         "deadline_ms": deadline_ms,
         "base_generation": base_generation,

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from . import edits
 from .arrays import Arrays
-from .documents import EditReply, Method, SeamInfo, SessionInfo, read
+from .documents import Derivatives, EditReply, Method, SeamInfo, SessionInfo, read
 from .edits import Edit, Pairs
 from .states import StateStream
 
@@ -94,6 +94,7 @@ class AnySession(Arrays):
         changes: Edit | Iterable[Edit],
         *,
         method: Method | None = None,
+        derivatives: Derivatives | None = None,
         tolerance: float | None = None,
         deadline_ms: float | None = None,
         base_generation: int | None = None,
@@ -101,14 +102,15 @@ class AnySession(Arrays):
     ) -> EditReply:
         """Apply edits (see ``sutura.edits``), all or none, and wait for the new generation.
 
-        ``method`` is how the linear modes follow; ``tolerance`` the relative eigenvalue error accepted
-        in their lower half; ``deadline_ms`` asks for the best that fits, to be finished behind it;
-        ``base_generation`` has the edit refused if another one is current; ``restore`` returns to a
-        kept generation first.
+        ``method`` is how the linear modes follow; ``derivatives`` which modal derivatives the basis gets
+        inside a seam; ``tolerance`` the relative eigenvalue error accepted in their lower half;
+        ``deadline_ms`` asks for the best that fits, to be finished behind it; ``base_generation`` has
+        the edit refused if another one is current; ``restore`` returns to a kept generation first.
         """
         request = edits.request(
             changes,
             method=method,
+            derivatives=derivatives,
             tolerance=tolerance,
             deadline_ms=deadline_ms,
             base_generation=base_generation,

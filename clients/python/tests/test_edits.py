@@ -129,6 +129,8 @@ def test_seams_are_prepared_and_a_deadline_is_kept(session: sutura.Session) -> N
     events.close()
     reply = session.unstitch(first.stitch_ids, base_generation=first.generation)
     assert reply.n_stitches == 0
+    part = session.stitch(SEAM[:4], STIFFNESS_N_M, derivatives="own")
+    assert part.certificate.verdict == "refined" and not part.certificate.is_unfinished
 
 
 def test_a_session_tells_of_its_edits(session: sutura.Session) -> None:

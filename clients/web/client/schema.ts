@@ -4014,6 +4014,14 @@ export interface components {
             };
         };
         /**
+         * @description Which modal derivatives the basis gets after an edit inside a seam: `prepared`, what can be combined of those of
+         *     the open and of the closed seam, without a solve; or `own`, those of the stitched body, solved for where its modes
+         *     differ from theirs by more than 3 %, as they may where a part of the seam is stitched. A warning tells of such a
+         *     difference where they are not solved for.
+         * @enum {string}
+         */
+        EditDerivatives: "prepared" | "own";
+        /**
          * @description How the linear modes follow an edit.
          * @enum {string}
          */
@@ -4066,6 +4074,11 @@ export interface components {
              *     finished, however long that takes (`flexibility` only).
              */
             deadline_ms?: number | null;
+            /**
+             * @description Which modal derivatives the basis gets after an edit inside a seam (`flexibility` only). Default:
+             *     `prepared`.
+             */
+            derivatives?: components["schemas"]["EditDerivatives"];
             /** @description The changes, applied in order; at least one, unless `restore` is given. */
             edits: components["schemas"]["Edit"][];
             /** @description How the linear modes follow. Default: `flexibility`. */

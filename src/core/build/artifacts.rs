@@ -2,7 +2,7 @@
 
 use super::certificate::{Certificate, Verdict};
 use super::close::ClosingReport;
-use super::params::{BuildParams, Method};
+use super::params::{BuildParams, Derivatives, Method};
 use crate::assembly::FullModel;
 use crate::assembly::mass::Mass;
 use crate::assembly::sparse::BlockMatrix;
@@ -112,6 +112,7 @@ impl Prepared {
 /// How a generation came about, beside its state ([`super::Recipe`]).
 pub(super) struct Origin {
     pub(super) method: Option<Method>,
+    pub(super) derivatives: Derivatives,
     pub(super) tolerance: f64,
     pub(super) reuse: Option<(Rule, f64)>,
     pub(super) seams: Arc<SeamRecipe>,
@@ -121,7 +122,14 @@ pub(super) struct Origin {
 impl Origin {
     /// Of a body as it was built.
     pub(super) fn built(skipped: Vec<bool>) -> Origin {
-        Origin { method: None, tolerance: 0.0, reuse: None, seams: Arc::default(), skipped }
+        Origin {
+            method: None,
+            derivatives: Derivatives::default(),
+            tolerance: 0.0,
+            reuse: None,
+            seams: Arc::default(),
+            skipped,
+        }
     }
 }
 
@@ -248,6 +256,10 @@ impl Artifacts {
     pub fn modes_are_met(&self) -> bool {
         self.tolerance.is_none_or(|tolerance| self.spectrum.beyond(tolerance).is_empty())
     }
+    /// Where the derivatives were to come from.
+    pub fn derivatives(&self) -> Derivatives {
+        self.origin.derivatives
+    }
     /// Stitches that the base body does not hold: what each update of it adds.
     pub fn n_open_stitches(&self) -> usize {
         self.state.open_stitches().len()
@@ -310,7 +322,10 @@ impl Artifacts {
     /// Bytes beside the base body.
     pub fn own_memory_bytes(&self) -> usize {
         let surface = self.surface.get().map_or(0, |surface| surface.bytes());
-        self.modes.bytes() + self.basis.bytes() + self.model.bytes() + surface
+        let shared: BTreeSet<u64> = self.prepared_blocks().iter().map(|block| block.id).collect();
+        let [modes, basis] = [&self.modes, &self.basis]
+            .map(|columns| columns.bytes(|block| shared.contains(&block.id)));
+        modes + basis + self.model.bytes() + surface
     }
 
     /// Elastic mode `i` over all vertices, vertex-major: 3·n_vertices numbers, fixed ones 0.

@@ -27,7 +27,7 @@ pub use base::BaseBody;
 pub use certificate::{Certificate, Verdict};
 pub use close::{ClosedPair, ClosingReport};
 pub use combination::{BasisCombination, BlockName};
-pub use params::{BuildError, BuildParams, CubatureParams, Method, RebuildParams};
+pub use params::{BuildError, BuildParams, CubatureParams, Derivatives, Method, RebuildParams};
 pub use recipe::{Recipe, remake};
 pub use seams::{check_seams, prepare_seams};
 pub use snapshot::{
@@ -201,8 +201,12 @@ pub fn rebuild(
     let base = base_for(previous, state.base(), &mut clock)?;
     let earlier = bases_before(previous, &base);
     let reuse = previous.cubature.map(|_| (previous.rule.clone(), previous.trained_error));
-    let plan =
-        Plan { method: params.method, tolerance: params.tolerance, reuse, seams: None, closings };
+    let RebuildParams { method, tolerance, .. } = *params;
+    let derivatives = match method {
+        Method::Flexibility => params.derivatives,
+        _ => Derivatives::default(),
+    };
+    let plan = Plan { method, derivatives, tolerance, reuse, seams: None, closings };
     Ok((update_base(base, earlier, state, plan, clock)?, ids))
 }
 
@@ -223,6 +227,7 @@ pub fn rebase(
     let Some(state) = previous.state.on_base(&base.state) else { return Ok(None) };
     let plan = Plan {
         method: Method::Flexibility,
+        derivatives: previous.origin.derivatives,
         tolerance: previous.origin.tolerance,
         reuse: previous.cubature.map(|_| (previous.rule.clone(), previous.trained_error)),
         seams: None,
@@ -235,6 +240,7 @@ pub fn rebase(
 /// How a generation comes from its base body.
 struct Plan {
     method: Method,
+    derivatives: Derivatives,
     tolerance: f64,
     /// The cubature rule in use, and its validation error when it was trained.
     reuse: Option<(Rule, f64)>,
@@ -250,10 +256,11 @@ fn update_base(
     plan: Plan,
     mut clock: StageClock<'_>,
 ) -> Result<Artifacts, BuildError> {
-    let Plan { method, tolerance, reuse, seams, closings } = plan;
+    let Plan { method, derivatives, tolerance, reuse, seams, closings } = plan;
     let there = || base.known_seams().map(|seams| seams.recipe().clone()).unwrap_or_default();
     let mut origin = Origin {
         method: Some(method),
+        derivatives,
         tolerance,
         reuse: reuse.clone(),
         seams: seams.clone().unwrap_or_else(there),
@@ -267,7 +274,8 @@ fn update_base(
                 None => seams::present(&base, clock.control)?,
             };
             origin.seams = seams.recipe().clone();
-            update::by_flexibility(base, state, reuse, seams, tolerance, &mut clock)?
+            let wanted = update::Wanted { tolerance, derivatives };
+            update::by_flexibility(base, state, reuse, seams, wanted, &mut clock)?
         }
         Method::LowRank => update::by_low_rank(base, state, reuse, &mut clock)?,
     };

@@ -71,11 +71,23 @@ pub enum Method {
     FromScratch,
 }
 
+/// Where the modal derivatives of an edit inside a seam come from (`Flexibility` only).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Derivatives {
+    /// From what is prepared, whatever it knows of the stitched body's modes: never a solve.
+    #[default]
+    Prepared,
+    /// From what is prepared where that knows the stitched body's modes, else solved for.
+    Own,
+}
+
 /// Parameters of [`rebuild`](super::rebuild).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RebuildParams {
     /// How to update the modes.
     pub method: Method,
+    /// Where derivatives come from.
+    pub derivatives: Derivatives,
     /// Relative eigenvalue error accepted for the lower half of the modes (`Flexibility` only).
     pub tolerance: f64,
     /// Time, by the caller's clock, after which nothing more is refined: the best so far is the answer
@@ -86,7 +98,7 @@ pub struct RebuildParams {
 impl RebuildParams {
     /// Refines until `tolerance` is met.
     pub fn new(method: Method, tolerance: f64) -> RebuildParams {
-        RebuildParams { method, tolerance, deadline: None }
+        RebuildParams { method, derivatives: Derivatives::default(), tolerance, deadline: None }
     }
 }
 

@@ -5,7 +5,7 @@
 use super::artifacts::Artifacts;
 use super::base::{self, BaseBody};
 use super::close::ClosingReport;
-use super::params::{BuildError, BuildParams, Method};
+use super::params::{BuildError, BuildParams, Derivatives, Method};
 use super::{Plan, StageClock, finish, first_draft, update_base};
 use crate::control::Control;
 use crate::cubature::Rule;
@@ -20,6 +20,8 @@ pub struct Recipe {
     pub state: EditState,
     /// How the modes followed the edit; `None` for a body as it was built.
     pub method: Option<Method>,
+    /// Where its derivatives were to come from.
+    pub derivatives: Derivatives,
     /// Relative eigenvalue error asked for.
     pub tolerance: f64,
     /// The cubature rule of the generation before, and its validation error when it was trained.
@@ -38,6 +40,7 @@ impl Recipe {
         Recipe {
             state,
             method: None,
+            derivatives: Derivatives::default(),
             tolerance: 0.0,
             reuse: None,
             seams: Arc::default(),
@@ -58,6 +61,7 @@ impl Artifacts {
         Recipe {
             state: self.state.clone(),
             method: self.origin.method,
+            derivatives: self.origin.derivatives,
             tolerance: self.origin.tolerance,
             reuse: self.origin.reuse.clone(),
             seams: self.origin.seams.clone(),
@@ -89,6 +93,7 @@ pub fn remake(
     let earlier = base::others(&base, kin);
     let plan = Plan {
         method,
+        derivatives: recipe.derivatives,
         tolerance: recipe.tolerance,
         reuse: recipe.reuse.clone(),
         seams: Some(recipe.seams.clone()),

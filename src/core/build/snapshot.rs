@@ -208,6 +208,7 @@ pub fn revive(
             check(recipe)?;
             Origin {
                 method: Some(method),
+                derivatives: recipe.derivatives,
                 tolerance: recipe.tolerance,
                 reuse: recipe.reuse.clone(),
                 seams: recipe.seams.clone(),

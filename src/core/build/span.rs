@@ -7,7 +7,7 @@ use crate::dictionary::{Block, Combination, Dictionary};
 use crate::edit::Stitch;
 use crate::linalg::{self, SmallCholesky};
 use crate::modes::LinearModes;
-use crate::modes::load_cases::Source;
+use crate::modes::load_cases::{LoadCases, Source};
 use crate::modes::prepared::{Coefficients, PreparedStitches};
 use crate::modes::seams::Seams;
 use crate::modes::stitched::StitchMatrix;
@@ -116,7 +116,8 @@ impl PreparedSpan {
         let PreparedSpan { stitches, modes, responses, .. } = &self;
         // A source that spans the modes makes all of their derivatives. Those of another would take the
         // place of some of them: 3.8 times the static error on a slender body.
-        let (best, unexplained) = self.best_source(prepared.params.n_derivative_modes);
+        let count = prepared.params.n_derivative_modes;
+        let (best, unexplained) = best_source(&self.stitches, &self.modes, count);
         let kept = match unexplained <= SPANNED {
             true => self.loads_of(best),
             false => 0..responses.x.ncols(),
@@ -144,34 +145,15 @@ impl PreparedSpan {
             of_modes: onto.subcols(0, k).to_owned(),
             of_derivatives,
             pairs,
-            modes: combine(prepared, &self.seams, &self.positions, modes),
-            basis: combine(prepared, &self.seams, &self.positions, &basis),
+            modes: combine(prepared, &self.seams, stitches.cases(), &self.positions, modes),
+            basis: combine(prepared, &self.seams, stitches.cases(), &self.positions, &basis),
         })
-    }
-
-    /// The source that spans the modes which make derivatives best, by its place, and the largest share of
-    /// one of them (squared, in the mass norm) that it does not span: what its responses cannot know of.
-    pub(super) fn best_source(&self, n_derivative_modes: usize) -> (usize, f64) {
-        let inner = self.stitches.on_sources(&self.modes);
-        let count = n_derivative_modes.min(inner.ncols());
-        let mut row = 0;
-        let mut best = (0, 1.0f64);
-        for (place, source) in self.seams.cases().sources.iter().enumerate() {
-            let m = source.energies.len();
-            let share = |j: usize| inner.col(j).subrows(row, m).squared_norm_l2();
-            let unexplained = 1.0 - (0..count).map(share).fold(1.0, f64::min);
-            if place == 0 || unexplained < best.1 {
-                best = (place, unexplained.max(0.0));
-            }
-            row += m;
-        }
-        best
     }
 
     /// Loads of the source at `place`.
     fn loads_of(&self, place: usize) -> std::ops::Range<usize> {
         let loads = |source: &Source| source.energies.len() * (source.energies.len() + 1) / 2;
-        let sources = &self.seams.cases().sources;
+        let sources = &self.stitches.cases().sources;
         let first = sources[..place].iter().map(loads).sum();
         first..first + sources.get(place).map_or(0, loads)
     }
@@ -179,7 +161,7 @@ impl PreparedSpan {
     /// Combinations of all responses that are about the derivatives of this generation's modes: those are
     /// bilinear in the modes, which the source at `place` spans in part.
     fn derivatives_of_own_modes(&self, place: usize) -> (Mat<f64>, Vec<[usize; 2]>) {
-        let cases = self.seams.cases();
+        let cases = self.stitches.cases();
         let inner = self.stitches.on_sources(&self.modes);
         let Some(source) = cases.sources.get(place) else {
             return (Mat::zeros(cases.len(), 0), Vec::new());
@@ -202,10 +184,34 @@ impl PreparedSpan {
     }
 }
 
+/// The source that spans the modes which make derivatives best, by its place, and the largest share of
+/// one of them (squared, in the mass norm) that it does not span: what its responses cannot know of.
+pub(super) fn best_source(
+    stitches: &PreparedStitches,
+    modes: &Coefficients,
+    n_derivative_modes: usize,
+) -> (usize, f64) {
+    let inner = stitches.on_sources(modes);
+    let count = n_derivative_modes.min(inner.ncols());
+    let mut row = 0;
+    let mut best = (0, 1.0f64);
+    for (place, source) in stitches.cases().sources.iter().enumerate() {
+        let m = source.energies.len();
+        let share = |j: usize| inner.col(j).subrows(row, m).squared_norm_l2();
+        let unexplained = 1.0 - (0..count).map(share).fold(1.0, f64::min);
+        if place == 0 || unexplained < best.1 {
+            best = (place, unexplained.max(0.0));
+        }
+        row += m;
+    }
+    best
+}
+
 /// Vectors over the blocks of the base body's modes, of the seams and of the load cases.
 pub(super) fn combine(
     prepared: &Prepared,
     seams: &Seams,
+    cases: &LoadCases,
     positions: &[usize],
     y: &Coefficients,
 ) -> Combination {
@@ -234,7 +240,7 @@ pub(super) fn combine(
         }
     }
     let mut at = 0;
-    for block in &seams.cases().blocks {
+    for block in &cases.blocks {
         let q = block.columns.ncols();
         rows.push(y.f.subrows(at, q).to_owned());
         blocks.push(block.clone());

@@ -136,6 +136,22 @@ impl PreparedStitches {
         })
     }
 
+    /// The same stitches beside `cases`, which they have to do with as `couplings` tell
+    /// ([`Seams::couplings_with`]).
+    pub fn beside(self, cases: LoadCases, couplings: [Mat<f64>; 6]) -> PreparedStitches {
+        PreparedStitches { cases, couplings, ..self }
+    }
+
+    /// The load cases.
+    pub fn cases(&self) -> &LoadCases {
+        &self.cases
+    }
+
+    /// `y`, vectors without F, beside these load cases.
+    pub fn among_cases(&self, y: Coefficients) -> Coefficients {
+        Coefficients { f: Mat::zeros(self.cases.len(), y.x.ncols()), ..y }
+    }
+
     /// `count` zero vectors.
     fn zeros(&self, count: usize) -> Coefficients {
         let (k, s, q) = (self.lambda.len(), self.gaps.nrows(), self.cases.len());

@@ -139,36 +139,35 @@ impl Seams {
 
     /// Appends what `pairs`, whose columns are `block`, have to do with F.
     fn couple(&mut self, base: &BaseModes<'_>, pairs: &[[u32; 2]], block: &Block) {
-        let load = incidence(base.model, pairs);
-        let half = block.columns.ncols() / 2;
-        let weighted = base.mass.multiply(block.columns.as_ref());
-        let mut new = self.couplings.each_ref().map(|m| Mat::zeros(half, m.ncols()));
-        let mut at = 0;
-        for case in &self.cases.blocks {
-            let case = case.columns.as_ref();
-            let inner = linalg::gram(weighted.as_ref(), case);
-            let gap = load.transpose_times(case);
-            let parts = [gap.as_ref(), inner.subrows(0, half), inner.subrows(half, half)];
-            for (new, part) in new.iter_mut().zip(parts) {
-                new.as_mut().submatrix_mut(0, at, half, case.ncols()).copy_from(part);
-            }
-            at += case.ncols();
-        }
-        let mut at = 0;
-        for source in &self.cases.sources {
-            let source = source.modes.columns.as_ref();
-            let inner = linalg::gram(weighted.as_ref(), source);
-            let gap = load.transpose_times(source);
-            let parts = [inner.subrows(0, half), inner.subrows(half, half), gap.as_ref()];
-            for (new, part) in new[3..].iter_mut().zip(parts) {
-                new.as_mut().submatrix_mut(0, at, half, source.ncols()).copy_from(part);
-            }
-            at += inner.ncols();
-        }
-        for (coupling, new) in self.couplings.iter_mut().zip(&new) {
-            *coupling = linalg::stacked(&[coupling.as_ref(), new.as_ref()]);
-        }
+        let new = couplings(base, &self.cases, pairs, block.columns.as_ref());
+        self.couplings = stacked(&self.couplings, &new);
     }
+
+    /// What the pairs at `positions` have to do with `cases`, as [`Seams::couplings`] tells it of its own.
+    pub fn couplings_with(
+        &self,
+        base: &BaseModes<'_>,
+        cases: &LoadCases,
+        positions: &[usize],
+    ) -> [Mat<f64>; 6] {
+        let mut all = no_couplings(cases);
+        for positions in positions.chunks(PAIRS_PER_BLOCK) {
+            let pairs: Vec<[u32; 2]> =
+                positions.iter().flat_map(|&at| self.pairs_at(at, 1)).collect();
+            let half = 3 * positions.len();
+            let mut columns = Mat::zeros(base.model.n(), 2 * half);
+            for (i, &position) in positions.iter().enumerate() {
+                let (block, s1, s2) = self.columns_of(position);
+                let block = self.blocks[block].1.columns.as_ref();
+                for (to, from) in [(3 * i, s1), (half + 3 * i, s2)] {
+                    columns.as_mut().subcols_mut(to, 3).copy_from(block.subcols(from, 3));
+                }
+            }
+            all = stacked(&all, &couplings(base, cases, &pairs, columns.as_ref()));
+        }
+        all
+    }
+
     /// Prepared pairs.
     pub fn len(&self) -> usize {
         self.positions.len()
@@ -305,6 +304,46 @@ impl Seams {
             *moment = linalg::bordered_symmetric(moment.as_ref(), column.as_ref());
         }
     }
+}
+
+/// EᵀF, S₁ᵀMF, S₂ᵀMF, S₁ᵀMΨ, S₂ᵀMΨ and EᵀΨ of `pairs`, whose \[S₁ | S₂\] are `columns`.
+fn couplings(
+    base: &BaseModes<'_>,
+    cases: &LoadCases,
+    pairs: &[[u32; 2]],
+    columns: MatRef<'_, f64>,
+) -> [Mat<f64>; 6] {
+    let load = incidence(base.model, pairs);
+    let half = columns.ncols() / 2;
+    let weighted = base.mass.multiply(columns);
+    let mut all = no_couplings(cases).map(|m| Mat::zeros(half, m.ncols()));
+    let mut at = 0;
+    for case in &cases.blocks {
+        let case = case.columns.as_ref();
+        let inner = linalg::gram(weighted.as_ref(), case);
+        let gap = load.transpose_times(case);
+        let parts = [gap.as_ref(), inner.subrows(0, half), inner.subrows(half, half)];
+        for (all, part) in all.iter_mut().zip(parts) {
+            all.as_mut().submatrix_mut(0, at, half, case.ncols()).copy_from(part);
+        }
+        at += case.ncols();
+    }
+    let mut at = 0;
+    for source in &cases.sources {
+        let source = source.modes.columns.as_ref();
+        let inner = linalg::gram(weighted.as_ref(), source);
+        let gap = load.transpose_times(source);
+        let parts = [inner.subrows(0, half), inner.subrows(half, half), gap.as_ref()];
+        for (all, part) in all[3..].iter_mut().zip(parts) {
+            all.as_mut().submatrix_mut(0, at, half, source.ncols()).copy_from(part);
+        }
+        at += source.ncols();
+    }
+    all
+}
+
+fn stacked(upper: &[Mat<f64>; 6], lower: &[Mat<f64>; 6]) -> [Mat<f64>; 6] {
+    std::array::from_fn(|i| linalg::stacked(&[upper[i].as_ref(), lower[i].as_ref()]))
 }
 
 fn no_couplings(cases: &LoadCases) -> [Mat<f64>; 6] {

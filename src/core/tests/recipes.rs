@@ -4,7 +4,7 @@ use crate::bodies::{STITCH_N_M, bar, by, params, stitch};
 use std::sync::Arc;
 use std::time::Duration;
 use sutura_core::build::{self, Artifacts, BuildError, BuildParams, CubatureParams, Method};
-use sutura_core::build::{RebuildParams, Recipe};
+use sutura_core::build::{Derivatives, RebuildParams, Recipe};
 use sutura_core::control::Uncontrolled;
 use sutura_core::edit::{Edit, EditState};
 use sutura_core::testing::{BarMesh, Cut};
@@ -97,7 +97,11 @@ pub(crate) fn line(bar: &BarMesh, params: &BuildParams) -> Vec<(&'static str, Ar
     add("published update", &[Edit::UnstitchAll], &by(Method::LowRank), &[]);
     let scale = Edit::ScaleStiffness { domain: bar.mesh.domains()[0], factor: 3.0 };
     add("another base body", &[scale], &plain, &bar.pairs);
-    add("inside its seam", &stitch(some, STITCH_N_M), &plain, &[]);
+    add("a part of its seam", &stitch(some, STITCH_N_M), &plain, &[]);
+    let own = RebuildParams { derivatives: Derivatives::Own, ..plain };
+    add("with derivatives of its own", &[], &own, &[]);
+    let hurried = RebuildParams { derivatives: Derivatives::Own, ..hurried };
+    add("without them in no time", &[], &hurried, &[]);
     add("from scratch", &stitch(rest, STITCH_N_M), &by(Method::FromScratch), &[]);
     line
 }

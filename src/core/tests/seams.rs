@@ -3,10 +3,13 @@
 use crate::bodies::{STITCH_N_M, bar, by, params, spectrum_error, stitch};
 use faer::Mat;
 use std::time::{Duration, Instant};
-use sutura_core::build::{self, Artifacts, BuildParams, Method, RebuildParams, Verdict};
+use sutura_core::build::{
+    self, Artifacts, BuildParams, Derivatives, Method, RebuildParams, Verdict,
+};
 use sutura_core::control::{Control, Stage, Uncontrolled};
 use sutura_core::edit::Edit;
 use sutura_core::linalg;
+use sutura_core::testing::statics::StitchedBody;
 use sutura_core::testing::{BarMesh, Cut};
 
 /// A bar with its cut prepared.
@@ -276,16 +279,71 @@ impl Control for Clock {
 }
 
 #[test]
-fn derivatives_that_the_load_cases_do_not_know_are_told_of() {
+fn derivatives_that_the_load_cases_do_not_know_are_solved_for_or_told_of() {
     let bar = bar(Cut::Through);
     let open = prepared(&bar, &params(&bar, 20));
     let tells =
         |body: &Artifacts| body.warnings().iter().any(|w| w.contains("derivatives of the open"));
+    let verdict = |body: &Artifacts| body.certificate().verdict;
     // All pairs by the stiffness that they were prepared for: nothing is left to know.
     let all = next(&open, &stitch(&bar.pairs, STITCH_N_M), Method::Flexibility);
     assert!(took_no_solve(&all) && !tells(&all), "{:?}", all.warnings());
-    let half = next(&open, &stitch(&bar.pairs[..3], STITCH_N_M), Method::Flexibility);
-    assert!(took_no_solve(&half) && tells(&half), "{:?}", half.warnings());
+    assert_eq!(verdict(&all), Verdict::Patched);
+
+    let edit = stitch(&bar.pairs[..3], STITCH_N_M);
+    let prepared = RebuildParams::new(Method::Flexibility, 1e-4);
+    let own = RebuildParams { derivatives: Derivatives::Own, ..prepared };
+    let hurried = RebuildParams { deadline: Some(Duration::ZERO), ..own };
+    let clock = Clock(Instant::now());
+    let [own_made, combined, first] = [own, prepared, hurried]
+        .map(|params| build::rebuild(&open, &edit, &params, &clock).unwrap().0);
+    assert!(!tells(&own_made) && verdict(&own_made) == Verdict::Refined);
+    assert!(tells(&combined) && verdict(&combined) == Verdict::Patched);
+    assert!(!combined.certificate().is_unfinished);
+    assert!(tells(&first) && first.certificate().is_unfinished);
+    // The modes are the same: of what is prepared, all three.
+    for body in [&own_made, &first] {
+        assert_eq!(body.eigenvalues_per_s2(), combined.eigenvalues_per_s2());
+    }
+    // What a deadline left undone is done by the next.
+    let (second, _) = build::rebuild(&first, &[], &own, &clock).unwrap();
+    assert!(!tells(&second) && !second.certificate().is_unfinished);
+    assert_eq!(verdict(&second), Verdict::Refined);
+}
+
+#[test]
+fn a_basis_of_part_of_a_seam_is_that_from_scratch() {
+    // Relative errors of static displacements, every tet summed; the loads bend by about a tenth of the length.
+    let bar = bar(Cut::HalfDepth);
+    let params = BuildParams { basis_size: 40, n_derivative_modes: 8, ..params(&bar, 20) };
+    let open = prepared(&bar, &params);
+    let edit = stitch(&bar.pairs[..4], STITCH_N_M);
+    let exact = next(&open, &edit, Method::FromScratch);
+    let combined = next(&open, &edit, Method::Flexibility);
+    let own = RebuildParams {
+        derivatives: Derivatives::Own,
+        ..RebuildParams::new(Method::Flexibility, 1e-4)
+    };
+    let (own, _) = build::rebuild(&open, &edit, &own, &Uncontrolled).unwrap();
+    assert_eq!(own.certificate().verdict, Verdict::Refined);
+
+    let body = StitchedBody::new(open.full_model(), exact.stitches()).unwrap();
+    let vertices = open.mesh().vertices();
+    let tip = (0..vertices.len() as u32)
+        .max_by(|&a, &b| vertices[a as usize][0].total_cmp(&vertices[b as usize][0]))
+        .unwrap();
+    let place = open.full_model().free_vertices().iter().position(|&v| v == tip).unwrap();
+    let mut largest = 0.0f64;
+    for force in [[0.0, 0.0, -0.8], [0.0, 0.6, 0.0], [0.3, 0.5, 0.4]] {
+        let mut load = vec![0.0; open.n_free_dofs()];
+        load[3 * place..][..3].copy_from_slice(&force);
+        let truth = body.equilibrium_by_steps(&load, 4).unwrap().x;
+        let error = |of: &Artifacts| body.error_in(of.basis(), &load, &truth).unwrap().0;
+        let [own, exact, combined] = [&own, &exact, &combined].map(error);
+        assert!(own < 1.01 * exact, "{own:e} {exact:e}");
+        largest = largest.max(combined / exact);
+    }
+    assert!(largest > 1.05, "not a test: {largest}");
 }
 
 #[test]

@@ -9,7 +9,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
-use sutura_client::proto::edit::{Edit, EditMethod, EditReply, EditRequest};
+use sutura_client::proto::edit::{Edit, EditDerivatives, EditMethod, EditReply, EditRequest};
 use sutura_client::proto::event::Event;
 use sutura_client::proto::session::SessionInfo;
 use sutura_client::{Client, Credentials, Error};
@@ -75,6 +75,10 @@ pub(crate) struct StitchArgs {
     /// How the linear modes follow.
     #[arg(long, value_enum, default_value = "flexibility")]
     method: MethodName,
+    /// Which modal derivatives the basis gets inside a seam: what can be combined of prepared ones, or the
+    /// stitched body's own.
+    #[arg(long, value_enum, default_value = "prepared")]
+    derivatives: DerivativesName,
     /// Relative eigenvalue error accepted.
     #[arg(long, default_value_t = 1e-4)]
     tolerance: f64,
@@ -111,6 +115,21 @@ impl From<MethodName> for EditMethod {
             MethodName::Flexibility => EditMethod::Flexibility,
             MethodName::LowRank => EditMethod::LowRank,
             MethodName::FromScratch => EditMethod::FromScratch,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum DerivativesName {
+    Own,
+    Prepared,
+}
+
+impl From<DerivativesName> for EditDerivatives {
+    fn from(name: DerivativesName) -> Self {
+        match name {
+            DerivativesName::Own => EditDerivatives::Own,
+            DerivativesName::Prepared => EditDerivatives::Prepared,
         }
     }
 }
@@ -195,6 +214,7 @@ pub(crate) async fn stitch(args: StitchArgs) -> Result<(), ClientError> {
     let request = EditRequest {
         base_generation: args.base_generation,
         method: args.method.into(),
+        derivatives: args.derivatives.into(),
         tolerance: args.tolerance,
         deadline_ms: args.deadline_ms,
         ..EditRequest::new(vec![stitch])

@@ -6,7 +6,8 @@
 //! daemon uses one cannot be known.
 
 use super::frame::{Digest, hex};
-use super::record::{ParamsRecord, RecipeRecord, Unreadable};
+use super::generation::RecipeRecord;
+use super::record::{ParamsRecord, Unreadable};
 use super::snapshot::{self, BodyNames};
 use super::{Archive, Contents, Journal, unwritable};
 use crate::error::StoreError;

@@ -16,6 +16,7 @@
 
 mod bodies;
 pub(crate) mod frame;
+pub(crate) mod generation;
 pub(crate) mod record;
 pub(crate) mod snapshot;
 
@@ -26,9 +27,9 @@ use crate::simulation::SimulationConfig;
 use crate::storage::{Entry, Storage, StorageError};
 use bodies::Bodies;
 use frame::Digest;
+use generation::GenerationRecord;
 use record::{
-    GenerationRecord, MeshRecord, ParamsRecord, Record, SessionRecord, SimulationRecord,
-    SizeRecord, Unreadable,
+    MeshRecord, ParamsRecord, Record, SessionRecord, SimulationRecord, SizeRecord, Unreadable,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};

@@ -2,20 +2,12 @@
 //! version ([`super::frame`]). Written by bincode, little-endian, integers of fixed width.
 
 use super::frame::Digest;
-use crate::session::Generation;
+use super::generation::GenerationRecord;
 use crate::simulation::{ContactConfig, SimulationConfig};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
-use std::time::Duration;
 use sutura_core::basis::PcaMethod;
-use sutura_core::build::{
-    BuildParams, ClosedPair, ClosingReport, CubatureParams, MassKind, Method, RayleighDamping,
-    Recipe, SeamRecipe, Selection,
-};
-use sutura_core::closing::Level;
-use sutura_core::cubature::Rule;
-use sutura_core::edit::{EditState, Stitch};
+use sutura_core::build::{BuildParams, CubatureParams, MassKind, RayleighDamping, Selection};
 use sutura_core::material::{Law, Material};
 use sutura_core::mesh::TetMesh;
 use sutura_core::reduced::contact::Obstacle;
@@ -113,7 +105,7 @@ impl MeshRecord {
 pub(crate) struct ParamsRecord {
     materials: Vec<MaterialRecord>,
     tet_stiffness: Vec<f64>,
-    fixed_vertices: Vec<u32>,
+    pub(super) fixed_vertices: Vec<u32>,
     mass: MassRecord,
     n_modes: u64,
     basis_size: u64,
@@ -172,7 +164,7 @@ struct CubatureRecord {
     selection: SelectionRecord,
 }
 
-fn size(n: u64) -> Result<usize, Unreadable> {
+pub(super) fn size(n: u64) -> Result<usize, Unreadable> {
     usize::try_from(n).map_err(Unreadable::new)
 }
 
@@ -304,237 +296,6 @@ impl CubatureRecord {
                 SelectionRecord::SparseNnls => Selection::SparseNnls,
                 SelectionRecord::EmpiricalCubature => Selection::EmpiricalCubature,
             },
-        })
-    }
-}
-
-/// A generation, as what it is a function of ([`Recipe`]): none of its arrays, and nothing of the
-/// generations before it.
-#[derive(Serialize, Deserialize)]
-pub(crate) struct GenerationRecord {
-    pub(crate) number: u64,
-    made_by: Option<MethodRecord>,
-    tolerance: f64,
-    improves: Option<u64>,
-    stitch_ids: Vec<u64>,
-    computed_in: Duration,
-    pub(crate) recipe: RecipeRecord,
-}
-
-#[derive(Clone, Copy, Serialize, Deserialize)]
-enum MethodRecord {
-    Flexibility,
-    LowRank,
-    FromScratch,
-}
-
-impl MethodRecord {
-    fn new(method: Method) -> MethodRecord {
-        match method {
-            Method::Flexibility => MethodRecord::Flexibility,
-            Method::LowRank => MethodRecord::LowRank,
-            Method::FromScratch => MethodRecord::FromScratch,
-        }
-    }
-
-    fn method(self) -> Method {
-        match self {
-            MethodRecord::Flexibility => Method::Flexibility,
-            MethodRecord::LowRank => Method::LowRank,
-            MethodRecord::FromScratch => Method::FromScratch,
-        }
-    }
-}
-
-#[derive(Serialize, Deserialize)]
-pub(crate) struct RecipeRecord {
-    pub(crate) mesh: Digest,
-    pub(super) fixed_vertices: Vec<u32>,
-    pub(super) stiffness_factors: Vec<(i64, f64)>,
-    stitches: Vec<StitchRecord>,
-    pub(super) folded: Vec<([u32; 2], f64)>,
-    next_stitch_id: u64,
-    method: Option<MethodRecord>,
-    tolerance: f64,
-    reuse: Option<RuleRecord>,
-    seam_groups: Vec<Vec<[u32; 2]>>,
-    seam_closing_stiffness_n_m: f64,
-    skipped: Vec<bool>,
-    closings: Vec<ClosingRecord>,
-}
-
-#[derive(Serialize, Deserialize)]
-struct StitchRecord {
-    id: u64,
-    pair: [u32; 2],
-    stiffness_n_m: f64,
-}
-
-#[derive(Serialize, Deserialize)]
-struct RuleRecord {
-    tets: Vec<u32>,
-    weights: Vec<f64>,
-    trained_error: f64,
-}
-
-#[derive(Serialize, Deserialize)]
-struct ClosingRecord {
-    edit: u64,
-    /// The pair, its gap before and after.
-    pairs: Vec<([u32; 2], f64, f64)>,
-    /// Stiffness, gap, residual.
-    levels: Vec<[f64; 3]>,
-    dropped_energy_j: f64,
-    largest_displacement_m: f64,
-}
-
-impl GenerationRecord {
-    /// `mesh` is the name of the generation's.
-    pub(crate) fn new(generation: &Generation, recipe: &Recipe, mesh: Digest) -> GenerationRecord {
-        GenerationRecord {
-            number: generation.number,
-            made_by: generation.made_by.map(MethodRecord::new),
-            tolerance: generation.tolerance,
-            improves: generation.improves,
-            stitch_ids: generation.stitch_ids.clone(),
-            computed_in: generation.computed_in,
-            recipe: RecipeRecord::new(recipe, mesh),
-        }
-    }
-
-    /// The generation around what [`sutura_core::build::remake`] made of its recipe.
-    pub(crate) fn generation(self, artifacts: Arc<sutura_core::build::Artifacts>) -> Generation {
-        Generation {
-            number: self.number,
-            artifacts,
-            made_by: self.made_by.map(MethodRecord::method),
-            tolerance: self.tolerance,
-            improves: self.improves,
-            stitch_ids: self.stitch_ids,
-            computed_in: self.computed_in,
-        }
-    }
-}
-
-impl RecipeRecord {
-    pub(super) fn new(recipe: &Recipe, mesh: Digest) -> RecipeRecord {
-        let Recipe { state, method, tolerance, reuse, seams, skipped, closings } = recipe;
-        let stitch = |stitch: &Stitch| {
-            let Stitch { id, pair, stiffness_n_m } = *stitch;
-            StitchRecord { id, pair, stiffness_n_m }
-        };
-        RecipeRecord {
-            mesh,
-            fixed_vertices: state.base().fixed_vertices().iter().copied().collect(),
-            stiffness_factors: state
-                .base()
-                .stiffness_factors()
-                .iter()
-                .map(|(label, factor)| (*label, *factor))
-                .collect(),
-            stitches: state.stitches().iter().map(stitch).collect(),
-            folded: state.base().folded().iter().map(|(pair, k)| (*pair, *k)).collect(),
-            next_stitch_id: state.next_id(),
-            method: method.map(MethodRecord::new),
-            tolerance: *tolerance,
-            reuse: reuse.as_ref().map(|(rule, trained_error)| RuleRecord {
-                tets: rule.tets.clone(),
-                weights: rule.weights.clone(),
-                trained_error: *trained_error,
-            }),
-            seam_groups: seams.groups.clone(),
-            seam_closing_stiffness_n_m: seams.closing_stiffness_n_m,
-            skipped: skipped.clone(),
-            closings: closings.iter().map(ClosingRecord::new).collect(),
-        }
-    }
-
-    /// Of a body as it is built.
-    pub(super) fn of_build(mesh: Digest, params: &ParamsRecord) -> RecipeRecord {
-        let mut fixed_vertices = params.fixed_vertices.clone();
-        fixed_vertices.sort_unstable();
-        fixed_vertices.dedup();
-        RecipeRecord {
-            mesh,
-            fixed_vertices,
-            stiffness_factors: Vec::new(),
-            stitches: Vec::new(),
-            folded: Vec::new(),
-            next_stitch_id: 0,
-            method: None,
-            tolerance: 0.0,
-            reuse: None,
-            seam_groups: Vec::new(),
-            seam_closing_stiffness_n_m: 0.0,
-            skipped: Vec::new(),
-            closings: Vec::new(),
-        }
-    }
-
-    /// The recipe, with the mesh that it names.
-    pub(crate) fn recipe(&self, mesh: Arc<TetMesh>) -> Result<Recipe, Unreadable> {
-        let stitch = |stitch: &StitchRecord| {
-            let StitchRecord { id, pair, stiffness_n_m } = *stitch;
-            Stitch { id, pair, stiffness_n_m }
-        };
-        let state = EditState::from_parts(
-            mesh,
-            self.fixed_vertices.iter().copied().collect(),
-            self.stiffness_factors.iter().copied().collect(),
-            self.stitches.iter().map(stitch).collect(),
-            self.folded.iter().copied().collect(),
-            self.next_stitch_id,
-        );
-        let rule = |record: &RuleRecord| {
-            let RuleRecord { tets, weights, trained_error } = record;
-            (Rule { tets: tets.clone(), weights: weights.clone() }, *trained_error)
-        };
-        Ok(Recipe {
-            state: state.map_err(Unreadable::new)?,
-            method: self.method.map(MethodRecord::method),
-            tolerance: self.tolerance,
-            reuse: self.reuse.as_ref().map(rule),
-            seams: Arc::new(SeamRecipe {
-                groups: self.seam_groups.clone(),
-                closing_stiffness_n_m: self.seam_closing_stiffness_n_m,
-            }),
-            skipped: self.skipped.clone(),
-            closings: self
-                .closings
-                .iter()
-                .map(ClosingRecord::report)
-                .collect::<Result<_, Unreadable>>()?,
-        })
-    }
-}
-
-impl ClosingRecord {
-    fn new(report: &ClosingReport) -> ClosingRecord {
-        let ClosingReport { edit, pairs, levels, dropped_energy_j, largest_displacement_m } =
-            report;
-        ClosingRecord {
-            edit: *edit as u64,
-            pairs: pairs.iter().map(|p| (p.pair, p.gap_before_m, p.gap_m)).collect(),
-            levels: levels.iter().map(|l| [l.stiffness_n_m, l.gap_m, l.residual]).collect(),
-            dropped_energy_j: *dropped_energy_j,
-            largest_displacement_m: *largest_displacement_m,
-        }
-    }
-
-    fn report(&self) -> Result<ClosingReport, Unreadable> {
-        let pair = |&(pair, gap_before_m, gap_m): &([u32; 2], f64, f64)| ClosedPair {
-            pair,
-            gap_before_m,
-            gap_m,
-        };
-        let level =
-            |&[stiffness_n_m, gap_m, residual]: &[f64; 3]| Level { stiffness_n_m, gap_m, residual };
-        Ok(ClosingReport {
-            edit: size(self.edit)?,
-            pairs: self.pairs.iter().map(pair).collect(),
-            levels: self.levels.iter().map(level).collect(),
-            dropped_energy_j: self.dropped_energy_j,
-            largest_displacement_m: self.largest_displacement_m,
         })
     }
 }

@@ -4,7 +4,8 @@
 //! They are named for what they are a function of: whoever looks for a body finds it or nothing.
 
 use super::frame::{self, Digest};
-use super::record::{self, ParamsRecord, RecipeRecord, Unreadable};
+use super::generation::RecipeRecord;
+use super::record::{self, ParamsRecord, Unreadable};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;

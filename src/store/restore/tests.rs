@@ -14,6 +14,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use sutura_core::build::Derivatives;
 use sutura_core::edit::Edit;
 
 pub(crate) fn open(folder: &Path) -> Store {
@@ -71,7 +72,11 @@ async fn everything_acknowledged_is_there_again_with_the_same_bits() {
     let seam = seam();
     store.edit(id, stitch(&seam[..2])).await.unwrap();
     assert_eq!(store.add_seams(id, seam.clone()).await.unwrap(), seam.len());
-    let hurried = EditRequest { deadline: Some(Duration::ZERO), ..stitch(&seam[2..5]) };
+    let hurried = EditRequest {
+        derivatives: Derivatives::Own,
+        deadline: Some(Duration::ZERO),
+        ..stitch(&seam[2..5])
+    };
     store.edit(id, hurried).await.unwrap();
     settled(&store, id).await;
     store.edit(id, edits(vec![Edit::ScaleStiffness { domain: 0, factor: 2.0 }])).await.unwrap();

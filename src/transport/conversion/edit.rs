@@ -4,7 +4,7 @@ use crate::problem::Problem;
 use std::collections::BTreeMap;
 use std::time::Duration;
 use sutura_core::build::{
-    Certificate, ClosingReport, CubatureReport, CubatureSource, Method, Verdict,
+    Certificate, ClosingReport, CubatureReport, CubatureSource, Derivatives, Method, Verdict,
 };
 use sutura_core::control::Stage;
 use sutura_core::edit::Edit;
@@ -19,6 +19,10 @@ pub(crate) fn request(request: wire::EditRequest) -> Result<EditRequest, Problem
         base_generation: request.base_generation,
         restore: request.restore,
         method: method(request.method),
+        derivatives: match request.derivatives {
+            wire::EditDerivatives::Own => Derivatives::Own,
+            wire::EditDerivatives::Prepared => Derivatives::Prepared,
+        },
         tolerance: request.tolerance,
         deadline: request.deadline_ms.map(|ms| Duration::from_secs_f64(ms / 1e3)),
         edits,
@@ -189,6 +193,7 @@ mod tests {
         wire_request.restore = Some(2);
         wire_request.deadline_ms = Some(50.0);
         wire_request.method = wire::EditMethod::LowRank;
+        wire_request.derivatives = wire::EditDerivatives::Own;
         let converted = request(wire_request).unwrap();
         assert_eq!(
             converted,
@@ -196,6 +201,7 @@ mod tests {
                 base_generation: Some(4),
                 restore: Some(2),
                 method: Method::LowRank,
+                derivatives: Derivatives::Own,
                 tolerance: 1e-4,
                 deadline: Some(Duration::from_millis(50)),
                 edits: vec![
