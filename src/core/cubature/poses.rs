@@ -40,6 +40,17 @@ pub struct Shapes<'a> {
     pub diagonal_m: f64,
 }
 
+/// The linear parts of some poses.
+struct Linear {
+    /// Reduced coordinates (r×t).
+    q: Mat<f64>,
+    /// Of each mode (k×t), times `scale` of the pose.
+    amplitudes: Mat<f64>,
+    scale: Vec<f64>,
+    /// Largest displacement of each pose in m.
+    reach_m: Vec<f64>,
+}
+
 /// A source of random poses in reduced coordinates.
 pub struct PoseSource<'a> {
     shapes: Shapes<'a>,
@@ -61,7 +72,31 @@ impl<'a> PoseSource<'a> {
 
     /// Reduced coordinates of `count` poses (r × count); the same seed gives the same poses.
     pub fn random_poses(&self, count: usize, seed: u64) -> Mat<f64> {
-        let Shapes { modes, eigenvalues, derivatives, pairs, diagonal_m } = &self.shapes;
+        let Shapes { derivatives, pairs, .. } = &self.shapes;
+        let Linear { mut q, amplitudes, scale, reach_m } = self.linear(count, seed);
+        let quadratic = Mat::from_fn(pairs.len(), count, |row, pose| {
+            let [i, j] = pairs[row];
+            let half = if i == j { 0.5 } else { 1.0 };
+            half * amplitudes[(i, pose)] * amplitudes[(j, pose)] * scale[pose] * scale[pose]
+        });
+        let bent = linalg::small_product(derivatives.as_ref(), quadratic.as_ref());
+        // Where the quadratic part outgrows the linear one the expansion has no meaning: cap it.
+        for (pose, largest) in self.largest_displacements(bent.as_ref()).into_iter().enumerate() {
+            let factor = if largest > reach_m[pose] { reach_m[pose] / largest } else { 1.0 };
+            for (x, b) in q.col_as_slice_mut(pose).iter_mut().zip(bent.col_as_slice(pose)) {
+                *x += factor * b;
+            }
+        }
+        q
+    }
+
+    /// The linear parts of such poses.
+    pub fn linear_poses(&self, count: usize, seed: u64) -> Mat<f64> {
+        self.linear(count, seed).q
+    }
+
+    fn linear(&self, count: usize, seed: u64) -> Linear {
+        let Shapes { modes, eigenvalues, diagonal_m, .. } = &self.shapes;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let n_modes = eigenvalues.len();
         let first = eigenvalues.first().copied().unwrap_or(1.0);
@@ -82,20 +117,7 @@ impl<'a> PoseSource<'a> {
             q.col_as_slice_mut(pose).iter_mut().for_each(|x| *x *= factor);
             scale.push(factor);
         }
-        let quadratic = Mat::from_fn(pairs.len(), count, |row, pose| {
-            let [i, j] = pairs[row];
-            let half = if i == j { 0.5 } else { 1.0 };
-            half * amplitudes[(i, pose)] * amplitudes[(j, pose)] * scale[pose] * scale[pose]
-        });
-        let bent = linalg::small_product(derivatives.as_ref(), quadratic.as_ref());
-        // Where the quadratic part outgrows the linear one the expansion has no meaning: cap it.
-        for (pose, largest) in self.largest_displacements(bent.as_ref()).into_iter().enumerate() {
-            let factor = if largest > reach_m[pose] { reach_m[pose] / largest } else { 1.0 };
-            for (x, b) in q.col_as_slice_mut(pose).iter_mut().zip(bent.col_as_slice(pose)) {
-                *x += factor * b;
-            }
-        }
-        q
+        Linear { q, amplitudes, scale, reach_m }
     }
 
     /// Largest displacement of a probed vertex in m, for each column of `q` (r×t).

@@ -37,6 +37,12 @@ impl EnergyNorm {
         let coefficients = linalg::orthonormal_coefficients(stiffness, NO_STIFFNESS)?;
         Ok(EnergyNorm { coefficients })
     }
+
+    /// ‖f‖ of each column of `forces` (r×t).
+    pub fn lengths(&self, forces: MatRef<'_, f64>) -> Vec<f64> {
+        let scaled = linalg::small_product(self.coefficients.transpose(), forces);
+        (0..scaled.ncols()).map(|j| scaled.col(j).norm_l2()).collect()
+    }
 }
 
 /// Poses of a body in a basis and the exact reduced forces there.
