@@ -4016,8 +4016,8 @@ export interface components {
         /**
          * @description Which modal derivatives the basis gets after an edit inside a seam: `prepared`, what can be combined of those of
          *     the open and of the closed seam, without a solve; or `own`, those of the stitched body, solved for where its modes
-         *     differ from theirs by more than 3 %, as they may where a part of the seam is stitched. A warning tells of such a
-         *     difference where they are not solved for.
+         *     differ from theirs by more than 0.1 %, as they may where a part of the seam is stitched. A warning tells of 3 % where
+         *     they are not solved for.
          * @enum {string}
          */
         EditDerivatives: "prepared" | "own";

@@ -62,7 +62,7 @@ pub(super) fn by_flexibility(
     if unexplained > UNEXPLAINED {
         let follow = match wanted.derivatives {
             Derivatives::Own => "its own follow",
-            Derivatives::Prepared => "its own take solves",
+            Derivatives::Prepared => "its own come when they are asked for",
         };
         warnings.push(format!(
             "the basis has the modal derivatives of the open and of the closed seam, whose modes differ \
