@@ -27,8 +27,8 @@ use std::sync::Arc;
 /// but three 4e-7 to 1e-4, half of them 4e-5 to 7e-3.
 const UNEXPLAINED: f64 = 1e-3;
 
-/// The same, above which an edit that is to have derivatives of its own solves for them. The lower ones of those that
-/// were measured, 15 of the pairs of fork and dinosaur, leave 4.5 and 1.6 times the static error of a basis from scratch.
+/// The same, above which an edit that is to have derivatives of its own solves for them: 15 pairs of fork and
+/// dinosaur, below the share that a warning takes, leave 4.5 and 1.6 times the static error of a basis from scratch.
 const KNOWN: f64 = 1e-6;
 
 /// Pairs without a seam that an edit makes one for on the way: their columns and load cases take no more

@@ -12,8 +12,8 @@
 //! lack of UᵀKU need not be positive semi-definite, whereas a sum with weights that are not negative has the energy of
 //! a material. Beside rules that are fitted to all of the force, a constant stiffness that makes up for what they lack at
 //! rest (directions up to 0.4 times too stiff and 0.5 times too soft, on the small dinosaur) does no better: with it no
-//! static solution of any small body found an equilibrium, and with its positive part alone displacements were wrong by
-//! 6 to 28 %, where the points by themselves leave 0.5 to 3 %. What they get wrong in stiff directions turns with the
+//! static solution of any small body found an equilibrium. With its positive part alone one body still found none, and on
+//! the others displacements were wrong by 5 to 29 %, where the points by themselves leave 0.5 to 3 %. What they get wrong in stiff directions turns with the
 //! body.
 
 mod nnls;
