@@ -115,7 +115,7 @@ pub const EVALUATOR_VOLUMES_M3: &str = "volumes_m3";
 pub const EVALUATOR_LAME_PA: &str = "lame_pa";
 /// Gradients of each point's four shape functions, in 1/m.
 pub const EVALUATOR_SHAPE_GRADIENTS: &str = "shape_gradients";
-/// Basis rows at each point's four corners.
+/// Basis rows at each point's four corners; at a smoothed point, those of an affine displacement that has its gradient.
 pub const EVALUATOR_BASIS_ROWS: &str = "basis_rows";
 /// Reduced stitch stiffness.
 pub const EVALUATOR_STITCH_STIFFNESS: &str = "stitch_stiffness";

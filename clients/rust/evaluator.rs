@@ -27,7 +27,7 @@ pub struct Evaluator<T = f32> {
     pub mooney_ratios: Array<T>,
     /// Gradients of the four shape functions in 1/m, (p, 4, 3).
     pub shape_gradients: Array<T>,
-    /// Basis rows at the four corners, (p, 4, 3, r).
+    /// Basis rows at the four corners, or those of an affine displacement that has the point's gradient, (p, 4, 3, r).
     pub basis_rows: Array<T>,
     /// Reduced stitch stiffness, (r, r).
     pub stitch_stiffness: Array<T>,

@@ -38,9 +38,10 @@ pub(crate) fn reduced_model(
     let Whole { stitch_stiffness, gravity, free } = whole;
     let mut gradients = ReducedModel::gradient_table(rule.tets.len(), basis.n_columns());
     gradients.fill(POINTS_PER_TASK, |first, count| {
-        let tets = &rule.tets[first..first + count];
+        let points = first..first + count;
+        let tets = &rule.tets[points.clone()];
         let shapes = tets.iter().map(|&tet| model.gradients()[tet as usize]).collect();
-        (shapes, basis.rows(&corner_dofs(model, tets)))
+        (shapes, rule.corner_rows(model, basis, points))
     });
     let point = |(&tet, weight): (&u32, &f64)| Point {
         elasticity: model.elasticities()[tet as usize],
@@ -131,11 +132,6 @@ pub(crate) fn contact_surface(model: &FullModel, basis: &Combination) -> contact
     contact::ContactSurface::new(r, &vertices, |v| rows[v].clone())
 }
 
-/// Degrees of freedom at the corners of `tets`, twelve a tet.
-fn corner_dofs(model: &FullModel, tets: &[u32]) -> Vec<Option<usize>> {
-    tets.iter().flat_map(|&tet| model.corner_dofs(tet as usize)).collect()
-}
-
 /// The evaluator's tables as a client downloads them.
 pub(crate) fn tables(
     model: &FullModel,
@@ -162,7 +158,7 @@ pub(crate) fn tables(
             .iter()
             .flat_map(|t| model.gradients()[of(t)].into_iter().flatten())
             .collect(),
-        basis_rows: flat(basis.rows(&corner_dofs(model, &rule.tets)).as_ref()),
+        basis_rows: flat(rule.corner_rows(model, basis, 0..rule.tets.len()).as_ref()),
         stitch_stiffness: flat(reduced.stitch_stiffness()),
         gravity_loads: flat(reduced.gravity_loads()),
         damping: reduced.damping(),

@@ -44,7 +44,7 @@ pub struct EvaluatorTables {
     pub mooney_ratios: Vec<f64>,
     /// Gradients of the four shape functions, `p × 4 × 3`, in 1/m.
     pub shape_gradients: Vec<f64>,
-    /// Basis rows at the four corners, `p × 4 × 3 × r`.
+    /// Basis rows at the four corners, or those of an affine displacement that has the point's gradient, `p × 4 × 3 × r`.
     pub basis_rows: Vec<f64>,
     /// Reduced stitch stiffness ŪᵀAAᵀŪ, `r × r`.
     pub stitch_stiffness: Vec<f64>,

@@ -99,6 +99,7 @@ fn small_body() -> Option<Artifacts> {
             tolerance: 0.05,
             seed: 1,
             selection: Selection::default(),
+            smoothing: true,
         }),
         damping: RayleighDamping { mass_per_s: 0.0, stiffness_s: 0.0 },
         seams: Vec::new(),

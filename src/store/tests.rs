@@ -110,6 +110,7 @@ pub(crate) fn params() -> BuildParams {
             tolerance: 0.05,
             seed: 1,
             selection: Selection::default(),
+            smoothing: true,
         }),
         damping: RayleighDamping { mass_per_s: 0.5, stiffness_s: 1e-3 },
         seams: Vec::new(),

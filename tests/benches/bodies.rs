@@ -84,6 +84,7 @@ impl Body {
                 tolerance: 0.05,
                 seed: 1,
                 selection: Selection::default(),
+                smoothing: true,
             }),
             damping: RayleighDamping { mass_per_s: 0.0, stiffness_s: 0.0 },
             seams: seams.to_vec(),

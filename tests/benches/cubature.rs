@@ -6,12 +6,13 @@ use serde::{Deserialize, Serialize};
 use sutura_core::build::{self, CubatureParams, Selection};
 use sutura_core::control::Stage;
 
-/// The methods, by name.
-pub(crate) const METHODS: [(&str, Selection); 4] = [
-    ("greedy NNLS", Selection::GreedyNnls),
-    ("sparse NNLS", Selection::SparseNnls),
-    ("NN-HTP", Selection::NnHtp),
-    ("empirical cubature", Selection::EmpiricalCubature),
+/// The methods, by name, and whether points are smoothed.
+pub(crate) const METHODS: [(&str, Selection, bool); 5] = [
+    ("greedy NNLS", Selection::GreedyNnls, false),
+    ("greedy NNLS, smoothed", Selection::GreedyNnls, true),
+    ("sparse NNLS", Selection::SparseNnls, false),
+    ("NN-HTP", Selection::NnHtp, false),
+    ("empirical cubature", Selection::EmpiricalCubature, false),
 ];
 
 /// Points allowed, one training each.
@@ -44,7 +45,7 @@ pub(crate) struct Training {
 /// Trains every method once for each number of points.
 pub(crate) fn measure(body: &Body) -> Result<Vec<Method>, Failure> {
     let mut methods = Vec::new();
-    for (name, selection) in METHODS {
+    for (name, selection, smoothing) in METHODS {
         let mut trainings = Vec::new();
         for n_points in POINTS {
             let mut params = body.session(&[]);
@@ -52,6 +53,7 @@ pub(crate) fn measure(body: &Body) -> Result<Vec<Method>, Failure> {
                 n_points,
                 tolerance: NEVER,
                 selection,
+                smoothing,
                 ..cubature
             });
             let built = build::build(body.mesh.clone(), &params, &Clock::start())?;

@@ -7,8 +7,8 @@ use serde::Serialize;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
-use sutura_core::build;
-use sutura_core::cubature::{Samples, Training, train};
+use sutura_core::build::{self, Examined};
+use sutura_core::cubature::{Rule, Samples, Training, smooth, train};
 
 /// Tets whose columns are held at a time.
 const TETS_AT_A_TIME: usize = 512;
@@ -36,17 +36,23 @@ pub(crate) fn export(body: &Body, folder: &Path) -> Result<(), Failure> {
     let params = body.session(&[]);
     let cubature = params.cubature.ok_or("a session without cubature")?;
     let n_tets = body.mesh.tets().len();
-    let examine = |training: &Samples<'_>, held_out: &Samples<'_>| -> Result<(), Failure> {
-        for (name, samples) in [("training", training), ("held_out", held_out)] {
+    let examine = |poses: Examined<'_>| -> Result<(), Failure> {
+        let Examined { training, more, held_out } = poses;
+        for (name, samples) in [("training", &training), ("held_out", &held_out)] {
             let path = folder.join(format!("{}.{name}.npy", body.name));
             write(samples, n_tets, BufWriter::new(File::create(path)?))?;
         }
         let mut found = Vec::new();
-        for (method, selection) in METHODS {
+        for (method, selection, smoothing) in METHODS {
             for n_points in POINTS {
-                let wanted =
-                    Training { selection, n_points, tolerance: NEVER, seed: cubature.seed };
-                let rule = train(training, &wanted, &Clock::start())?;
+                let seed = cubature.seed;
+                let wanted = Training { selection, n_points, tolerance: NEVER, seed };
+                let clock = Clock::start();
+                let mut rule = train(&training, &wanted, &clock)?;
+                if smoothing {
+                    let (samples, more) = (training.clone(), || Ok(more.clone()));
+                    rule = smooth(rule, samples, more, NEVER, &clock)?;
+                }
                 let error = held_out.error(&rule);
                 found.push(Found { method, n_points: rule.tets.len(), error });
             }
@@ -60,7 +66,7 @@ pub(crate) fn export(body: &Body, folder: &Path) -> Result<(), Failure> {
 
 /// NumPy's format, version 1.0.
 fn write(samples: &Samples<'_>, n_tets: usize, mut to: impl Write) -> Result<(), Failure> {
-    let (_, target) = samples.equations(&[]);
+    let (_, target) = samples.equations(&Rule::of_tets(Vec::new(), Vec::new()));
     let shape = format!("({}, {})", n_tets + 1, target.len());
     let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
     // The data begin at a multiple of 64 bytes.
@@ -70,7 +76,8 @@ fn write(samples: &Samples<'_>, n_tets: usize, mut to: impl Write) -> Result<(),
     writeln!(to, "{header:width$}", width = length - 1)?;
     let all: Vec<u32> = (0..n_tets as u32).collect();
     for some in all.chunks(TETS_AT_A_TIME) {
-        let (columns, _) = samples.equations(some);
+        let rule = Rule::of_tets(some.to_vec(), vec![1.0; some.len()]);
+        let (columns, _) = samples.equations(&rule);
         for column in 0..columns.ncols() {
             row(columns.col_as_slice(column), &mut to)?;
         }

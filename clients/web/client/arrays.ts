@@ -38,7 +38,7 @@ export interface Evaluator<D extends DType = 'f32'> {
   readonly lame: ElementsOf<D>
   /** Gradients of the four shape functions in 1/m (p, 4, 3). */
   readonly shapeGradients: ElementsOf<D>
-  /** Basis rows at the four corners (p, 4, 3, r). */
+  /** Basis rows at the four corners, or those of an affine displacement that has the point's gradient (p, 4, 3, r). */
   readonly basisRows: ElementsOf<D>
   /** Reduced stiffness of the stitches (r, r). */
   readonly stitchStiffness: ElementsOf<D>

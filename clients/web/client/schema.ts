@@ -3881,6 +3881,13 @@ export interface components {
              */
             selection?: components["schemas"]["SelectionConfig"];
             /**
+             * @description Whether, where the tolerance is not met otherwise, each point may take of the strain of its tet's neighbours as
+             *     much as the poses say: half the error with as many points, for longer training. `false`: points are tets, as in
+             *     the papers. Default: `true`.
+             * @default true
+             */
+            smoothing?: boolean;
+            /**
              * Format: double
              * @description Relative reduced-force error at which training stops. Default: 0.05.
              * @default 0.05

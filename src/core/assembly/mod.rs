@@ -8,6 +8,7 @@ mod forces;
 mod kernels;
 pub(crate) use kernels::stresses;
 pub mod mass;
+pub(crate) mod patch;
 pub mod sparse;
 pub mod tiles;
 

@@ -27,6 +27,7 @@ pub use base::BaseBody;
 pub use certificate::{Certificate, Verdict};
 pub use close::{ClosedPair, ClosingReport};
 pub use combination::{BasisCombination, BlockName};
+pub use finish::Examined;
 pub use params::{BuildError, BuildParams, CubatureParams, Derivatives, Method, RebuildParams};
 pub use recipe::{Recipe, remake};
 pub use seams::{check_seams, prepare_seams};
@@ -36,7 +37,7 @@ pub use snapshot::{
 pub use transfer::BasisDelta;
 
 use crate::control::{self, Cancelled, Control, Stage};
-use crate::cubature::{Rule, Samples};
+use crate::cubature::Rule;
 use crate::derivatives::SOLVE_TOLERANCE;
 use crate::edit::{Edit, EditState, StitchId};
 use crate::mesh::TetMesh;
@@ -122,7 +123,7 @@ pub fn examine_training<T>(
     params: &BuildParams,
     cubature: &CubatureParams,
     control: &dyn Control,
-    examine: impl FnOnce(&Samples<'_>, &Samples<'_>) -> T,
+    examine: impl FnOnce(Examined<'_>) -> T,
 ) -> Result<T, BuildError> {
     let draft = first_draft(mesh, params, &[], &mut StageClock::start(control))?;
     finish::examined(draft, cubature, control, examine)

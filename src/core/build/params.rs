@@ -30,6 +30,9 @@ pub struct CubatureParams {
     pub seed: u64,
     /// How points are chosen.
     pub selection: Selection,
+    /// Whether points may take of their neighbours' strain where the tolerance is not met without
+    /// ([`Smoothing`](crate::cubature::Smoothing)).
+    pub smoothing: bool,
 }
 
 /// Everything that [`build`](super::build) needs beside the mesh. There is no default on purpose: the caller

@@ -118,6 +118,12 @@ pub(super) fn check_rule(rule: &Rule, trained_error: f64, n_tets: usize) -> Resu
     if let Some(tet) = rule.tets.iter().find(|tet| **tet as usize >= n_tets) {
         return refuse("cubature point", f64::from(*tet), "a tet of the mesh");
     }
+    if !rule.smoothing.is_empty() && rule.smoothing.len() != rule.tets.len() {
+        return refuse("cubature smoothing", rule.smoothing.len() as f64, "none or one a point");
+    }
+    if let Some(x) = rule.smoothing.as_flattened().as_flattened().iter().find(|x| !x.is_finite()) {
+        return refuse("cubature smoothing", *x, "finite");
+    }
     let numbers = rule.weights.iter().chain([&trained_error]);
     match numbers.copied().find(|x| !(*x >= 0.0 && x.is_finite())) {
         Some(value) => refuse("cubature weight", value, "finite and not negative"),

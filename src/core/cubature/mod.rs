@@ -21,14 +21,25 @@ mod pose_block;
 pub mod poses;
 mod samples;
 mod selection;
+mod smoothing;
 
+pub use crate::assembly::patch::Smoothing;
 pub use samples::{EnergyNorm, Samples};
 pub use selection::TrainingError;
 
+use crate::assembly::FullModel;
+use crate::assembly::patch::Patch;
 use crate::control::{Cancelled, Control, Stage};
+use crate::dictionary::Combination;
+use crate::linalg;
+use faer::Mat;
+use std::ops::Range;
 
 /// Training stops at this fraction of the tolerance: poses not seen in training come out worse.
 const TRAINING_MARGIN: f64 = 0.5;
+
+/// So does smoothing, which fits so many more numbers that they come out about twice as bad.
+const SMOOTHING_MARGIN: f64 = 0.4;
 
 /// Tets and their weights.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,12 +48,43 @@ pub struct Rule {
     pub tets: Vec<u32>,
     /// Their weights, positive.
     pub weights: Vec<f64>,
+    /// What the displacement gradient at each point takes of its neighbours; empty if each is that of its tet.
+    pub smoothing: Vec<Smoothing>,
 }
 
 impl Rule {
+    /// Points whose displacement gradients are those of their tets.
+    pub fn of_tets(tets: Vec<u32>, weights: Vec<f64>) -> Rule {
+        Rule { tets, weights, smoothing: Vec::new() }
+    }
+
     /// Every tet with weight one: exact.
     pub fn exact(n_tets: usize) -> Rule {
-        Rule { tets: (0..n_tets as u32).collect(), weights: vec![1.0; n_tets] }
+        Rule::of_tets((0..n_tets as u32).collect(), vec![1.0; n_tets])
+    }
+
+    /// Rows of `basis` at the corners of some of the points' tets (12·points × r); at a smoothed point, those of an
+    /// affine displacement with its gradient.
+    pub(crate) fn corner_rows(
+        &self,
+        model: &FullModel,
+        basis: &Combination,
+        points: Range<usize>,
+    ) -> Mat<f64> {
+        let tets = &self.tets[points.clone()];
+        if self.smoothing.is_empty() {
+            let dofs = |&tet: &u32| model.corner_dofs(tet as usize);
+            return basis.rows(&tets.iter().flat_map(dofs).collect::<Vec<_>>());
+        }
+        let patches: Vec<Patch> = tets.iter().map(|&tet| Patch::new(model, tet as usize)).collect();
+        let rows = basis.rows(&patches.iter().flat_map(|patch| patch.dofs).collect::<Vec<_>>());
+        let parts: Vec<Mat<f64>> = (0..)
+            .zip(patches.iter().zip(&self.smoothing[points]))
+            .map(|(i, (patch, smoothing))| {
+                patch.corner_rows(rows.subrows(i * patch.dofs.len(), patch.dofs.len()), smoothing)
+            })
+            .collect();
+        linalg::stacked(&parts.iter().map(Mat::as_ref).collect::<Vec<_>>())
     }
 }
 
@@ -92,8 +134,23 @@ pub fn train(
     control.progress(Stage::Cubature, 0.3);
     let tolerance = TRAINING_MARGIN * training.tolerance;
     let rule = selection::select(samples, &Training { tolerance, ..*training }, control)?;
-    control.progress(Stage::Cubature, 0.8);
+    control.progress(Stage::Cubature, 0.6);
     Ok(selection::fit_weights(samples, &rule, control)?)
+}
+
+/// Fits weights and smoothing of `rule` to `samples` and those that `more` gives, unless it is as good as `tolerance`
+/// wants it without ([`Smoothing`]).
+pub fn smooth<'a>(
+    rule: Rule,
+    samples: Samples<'a>,
+    more: impl FnOnce() -> Result<Samples<'a>, Cancelled>,
+    tolerance: f64,
+    control: &dyn Control,
+) -> Result<Rule, TrainingError> {
+    if samples.error(&rule) <= TRAINING_MARGIN * tolerance {
+        return Ok(rule);
+    }
+    smoothing::smooth(&samples.with(more()?), rule, SMOOTHING_MARGIN * tolerance, control)
 }
 
 /// Fits weights to `samples` on the points of `rule`; some may fall to zero and leave it.

@@ -14,8 +14,8 @@ use rayon::prelude::*;
 /// Poses whose displacements and forces over the whole body are held at a time.
 const POSES_AT_A_TIME: usize = 24;
 
-/// Tets whose contributions one task sums.
-const TETS_PER_TASK: usize = 16;
+/// Points whose contributions one task sums.
+const POINTS_PER_TASK: usize = 16;
 
 /// Directions softer than this, against the stiffest of unit scale, have no energy norm.
 const NO_STIFFNESS: f64 = 1e-12;
@@ -38,6 +38,11 @@ impl EnergyNorm {
         Ok(EnergyNorm { coefficients })
     }
 
+    /// C (r×m): ‖f‖ = |Cᵀf|.
+    pub(super) fn coefficients(&self) -> MatRef<'_, f64> {
+        self.coefficients.as_ref()
+    }
+
     /// ‖f‖ of each column of `forces` (r×t).
     pub fn lengths(&self, forces: MatRef<'_, f64>) -> Vec<f64> {
         let scaled = linalg::small_product(self.coefficients.transpose(), forces);
@@ -46,16 +51,17 @@ impl EnergyNorm {
 }
 
 /// Poses of a body in a basis and the exact reduced forces there.
+#[derive(Clone)]
 pub struct Samples<'a> {
     pub(super) model: &'a FullModel,
     pub(super) basis: &'a Combination,
-    norm: &'a EnergyNorm,
+    pub(super) norm: &'a EnergyNorm,
     /// Reduced coordinates (r×t).
-    q: Mat<f64>,
+    pub(super) q: Mat<f64>,
     /// CᵀUᵀf(Uq), each column scaled to unit length (m×t).
     target: Mat<f64>,
     /// One over the length before.
-    scale: Vec<f64>,
+    pub(super) scale: Vec<f64>,
 }
 
 impl<'a> Samples<'a> {
@@ -100,24 +106,27 @@ impl<'a> Samples<'a> {
         self.target.nrows() * self.target.ncols()
     }
 
-    /// The share of one tet in the target (m×t).
-    fn contribution(&self, tet: u32) -> Mat<f64> {
-        let tet = tet as usize;
-        let (r, t) = (self.q.nrows(), self.q.ncols());
-        let rows = self.basis.rows(&self.model.corner_dofs(tet));
-        let shape = &self.model.gradients()[tet];
-        let gradient = Mat::from_fn(9, r, |k, column| {
+    /// Gradients of the displacements of the basis at a point of `rule` (9×r).
+    pub(super) fn gradient_at(&self, rule: &Rule, point: usize) -> Mat<f64> {
+        let rows = rule.corner_rows(self.model, self.basis, point..point + 1);
+        let shape = &self.model.gradients()[rule.tets[point] as usize];
+        Mat::from_fn(9, rows.ncols(), |k, column| {
             (0..4).map(|a| rows[(3 * a + k / 3, column)] * shape[a][k % 3]).sum::<f64>()
-        });
-        let d = linalg::small_product(gradient.as_ref(), self.q.as_ref());
+        })
+    }
+
+    /// Stress times volume at a point of `tet` where the displacement gradients are `d` (9×t), each pose scaled as its
+    /// equations are (9×t).
+    pub(super) fn stresses(&self, tet: usize, d: MatRef<'_, f64>) -> Mat<f64> {
+        let t = d.ncols();
         let mut p = Mat::<f64>::zeros(9, t);
         let (elasticity, volume_m3) =
             (&self.model.elasticities()[tet], self.model.volumes_m3()[tet]);
         for [first, count] in pose_blocks(t) {
             let mut lanes = [[0.0; LANES]; 9];
             for pose in 0..count {
-                for (lane, d) in lanes.iter_mut().zip(d.col_as_slice(first + pose)) {
-                    lane[pose] = *d;
+                for (k, lane) in lanes.iter_mut().enumerate() {
+                    lane[pose] = d[(k, first + pose)];
                 }
             }
             let lanes = linalg::vectorized(
@@ -131,6 +140,14 @@ impl<'a> Samples<'a> {
                 }
             }
         }
+        p
+    }
+
+    /// What a point of `rule` adds to the target at weight one (m×t).
+    pub(super) fn contribution(&self, rule: &Rule, point: usize) -> Mat<f64> {
+        let gradient = self.gradient_at(rule, point);
+        let d = linalg::small_product(gradient.as_ref(), self.q.as_ref());
+        let p = self.stresses(rule.tets[point] as usize, d.as_ref());
         let gradient = linalg::small_product(gradient.as_ref(), self.norm.coefficients.as_ref());
         linalg::small_product(gradient.transpose(), p.as_ref())
     }
@@ -140,18 +157,18 @@ impl<'a> Samples<'a> {
         self.target.ncols()
     }
 
-    /// The equations of the fit: what each of `tets` adds at weight one (a column of r·t numbers each), and the sum
-    /// that they are to make.
-    pub fn equations(&self, tets: &[u32]) -> (Mat<f64>, Vec<f64>) {
+    /// The equations of the fit: what each point of `rule` adds at weight one (a column of r·t numbers each), and the
+    /// sum that they are to make.
+    pub fn equations(&self, rule: &Rule) -> (Mat<f64>, Vec<f64>) {
         let every = Sketch::new(self.n_equations(), usize::MAX, 0);
-        (self.columns(tets, &every), self.target(&every))
+        (self.columns(rule, &every), self.target(&every))
     }
 
-    /// One sketched column for each of `tets` (rows of the sketch × tets).
-    pub(super) fn columns(&self, tets: &[u32], sketch: &Sketch) -> Mat<f64> {
-        let mut columns = Mat::<f64>::zeros(sketch.n_rows, tets.len());
-        linalg::for_each_column(&mut columns, |j, column| {
-            sketch.add(self.contribution(tets[j]).as_ref(), column);
+    /// One sketched column for each point of `rule` (rows of the sketch × points).
+    pub(super) fn columns(&self, rule: &Rule, sketch: &Sketch) -> Mat<f64> {
+        let mut columns = Mat::<f64>::zeros(sketch.n_rows, rule.tets.len());
+        linalg::for_each_column(&mut columns, |point, column| {
+            sketch.add(self.contribution(rule, point).as_ref(), column);
         });
         columns
     }
@@ -165,14 +182,13 @@ impl<'a> Samples<'a> {
 
     /// Target minus what `rule` gives (m×t).
     pub(super) fn residual(&self, rule: &Rule) -> Mat<f64> {
-        let parts: Vec<Mat<f64>> = rule
-            .tets
-            .par_chunks(TETS_PER_TASK)
-            .zip(rule.weights.par_chunks(TETS_PER_TASK))
-            .map(|(tets, weights)| {
+        let points: Vec<usize> = (0..rule.tets.len()).collect();
+        let parts: Vec<Mat<f64>> = points
+            .par_chunks(POINTS_PER_TASK)
+            .map(|points| {
                 let mut sum = Mat::<f64>::zeros(self.target.nrows(), self.target.ncols());
-                for (tet, weight) in tets.iter().zip(weights) {
-                    sum += faer::Scale(*weight) * self.contribution(*tet);
+                for &point in points {
+                    sum += faer::Scale(rule.weights[point]) * self.contribution(rule, point);
                 }
                 sum
             })
@@ -256,8 +272,12 @@ impl Sketch {
         Sketch { n_rows, to }
     }
 
+    pub(super) fn n_rows(&self) -> usize {
+        self.n_rows
+    }
+
     /// Adds the sketch of `equations` (column by column) to `rows`.
-    fn add(&self, equations: MatRef<'_, f64>, rows: &mut [f64]) {
+    pub(super) fn add(&self, equations: MatRef<'_, f64>, rows: &mut [f64]) {
         let m = equations.nrows();
         for pose in 0..equations.ncols() {
             let column = equations.col(pose).iter();
@@ -304,7 +324,7 @@ mod tests {
         let samples = Samples::new(&model, &basis, &norm, q, &Uncontrolled).unwrap();
         let rule = Rule::exact(model.corners().len());
         assert!(samples.error(&rule) < 1e-12);
-        let nothing = Rule { tets: Vec::new(), weights: Vec::new() };
+        let nothing = Rule::of_tets(Vec::new(), Vec::new());
         assert!((samples.error(&nothing) - 1.0).abs() < 1e-12);
     }
 
@@ -315,8 +335,8 @@ mod tests {
         let [some, others] = [q.subcols(0, 4), q.subcols(4, 7)].map(|q| of(q.to_owned()));
         let (all, joined) = (of(q), some.with(others));
         assert_eq!(joined.n_poses(), all.n_poses());
-        let tets = [1, 20, 50];
-        let [exact, found] = [&all, &joined].map(|samples| samples.equations(&tets));
+        let rule = Rule::of_tets(vec![1, 20, 50], vec![1.0; 3]);
+        let [exact, found] = [&all, &joined].map(|samples| samples.equations(&rule));
         assert!((exact.0 - found.0).norm_max() < 1e-12);
         assert!(exact.1.iter().zip(&found.1).all(|(a, b)| (a - b).abs() < 1e-12));
     }
@@ -324,7 +344,7 @@ mod tests {
     #[test]
     fn the_error_is_that_of_the_forces_in_the_energy_norm() {
         let (model, basis, norm, q, stiffness) = case(5);
-        let rule = Rule { tets: vec![1, 20, 50], weights: vec![12.0, 30.0, 7.0] };
+        let rule = Rule::of_tets(vec![1, 20, 50], vec![12.0, 30.0, 7.0]);
         let force = |q: &[f64]| {
             let u = basis.dense() * Mat::from_fn(5, 1, |i, _| q[i]);
             let mut sum = Mat::<f64>::zeros(5, 1);
@@ -359,12 +379,12 @@ mod tests {
     fn the_gradient_is_made_of_products_with_columns() {
         let (model, basis, norm, q, _) = case(5);
         let samples = Samples::new(&model, &basis, &norm, q, &Uncontrolled).unwrap();
-        let rule = Rule { tets: vec![3, 40], weights: vec![10.0, 25.0] };
+        let rule = Rule::of_tets(vec![3, 40], vec![10.0, 25.0]);
         let residual = samples.residual(&rule);
         let gradient = samples.gradient(residual.as_ref(), &Uncontrolled).unwrap();
         let all: Vec<u32> = (0..model.corners().len() as u32).collect();
         let every = Sketch::new(samples.n_equations(), usize::MAX, 0);
-        let columns = samples.columns(&all, &every);
+        let columns = samples.columns(&Rule::of_tets(all.clone(), vec![1.0; all.len()]), &every);
         let length = residual.norm_l2();
         for (tet, gradient) in gradient.iter().enumerate() {
             let product: f64 =

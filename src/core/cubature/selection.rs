@@ -62,7 +62,7 @@ pub(super) fn select(
     let target = samples.target(&sketch);
     let most = MOST_NUMBERS / rows.max(1);
     let mut candidates = candidates(samples.model.corners().len(), training, most);
-    let columns = samples.columns(&candidates, &sketch);
+    let columns = samples.columns(&at_weight_one(&candidates), &sketch);
     control::check(control)?;
     control.progress(Stage::Cubature, 0.6);
     let entries = match training.selection {
@@ -95,10 +95,12 @@ fn candidates(n_tets: usize, training: &Training, most: usize) -> Vec<u32> {
 fn rule(candidates: &[u32], entries: &[(usize, f64)]) -> Rule {
     let mut points: Vec<(u32, f64)> = entries.iter().map(|&(i, w)| (candidates[i], w)).collect();
     points.sort_unstable_by_key(|point| point.0);
-    Rule {
-        tets: points.iter().map(|point| point.0).collect(),
-        weights: points.iter().map(|point| point.1).collect(),
-    }
+    let (tets, weights) = points.into_iter().unzip();
+    Rule::of_tets(tets, weights)
+}
+
+fn at_weight_one(tets: &[u32]) -> Rule {
+    Rule::of_tets(tets.to_vec(), vec![1.0; tets.len()])
 }
 
 /// Greedy growth by Lawson–Hanson steps (An et al. 2008), then pruning.
@@ -229,7 +231,7 @@ fn priced(
         if joining.is_empty() {
             break;
         }
-        let more = samples.columns(&joining, sketch);
+        let more = samples.columns(&at_weight_one(&joining), sketch);
         pool.columns = linalg::concatenate(&[pool.columns.as_ref(), more.as_ref()]);
         pool.candidates.extend(joining);
     }
@@ -242,11 +244,12 @@ pub(super) fn fit_weights(
     start: &Rule,
     control: &dyn Control,
 ) -> Result<Rule, Cancelled> {
-    let (columns, target) = samples.equations(&start.tets);
+    let (columns, target) = samples.equations(start);
     let guess: Vec<(usize, f64)> = start.weights.iter().copied().enumerate().collect();
     let mut problem = LeastSquares::new(columns, &target);
     let entries = nnls::solve(&mut problem, &guess, control)?;
-    Ok(rule(&start.tets, &entries))
+    let kept = entries.iter().filter_map(|&(point, _)| start.smoothing.get(point).copied());
+    Ok(Rule { smoothing: kept.collect(), ..rule(&start.tets, &entries) })
 }
 
 #[cfg(test)]

@@ -16,6 +16,7 @@ fn two_generations(cut: Cut, basis_size: usize, method: Method) -> [Artifacts; 2
         tolerance: 0.05,
         seed: 3,
         selection: Selection::GreedyNnls,
+        smoothing: true,
     });
     let params = BuildParams { basis_size, cubature, ..params(&bar, 10) };
     let before = build::build(bar.mesh.clone(), &params, &Uncontrolled).unwrap();

@@ -28,6 +28,7 @@ fn body_of(is_held: bool, damping: RayleighDamping, basis_size: usize) -> Artifa
         tolerance: 0.02,
         seed: 1,
         selection: Selection::default(),
+        smoothing: true,
     });
     let params = BuildParams { fixed_vertices, basis_size, damping, cubature, ..params(&bar, 12) };
     build::build(bar.mesh, &params, &Uncontrolled).unwrap()

@@ -132,6 +132,7 @@ fn cubature_is_trained_for_every_law() {
         tolerance: 0.02,
         seed: 7,
         selection: Selection::default(),
+        smoothing: true,
     };
     for law in Law::ALL {
         let body = built(&bar, law, Some(cubature));

@@ -121,6 +121,7 @@ fn a_base_body_that_holds_stitches_keeps_them_under_other_changes() {
         tolerance: 0.05,
         seed: 1,
         selection: Default::default(),
+        smoothing: true,
     };
     let params = build::BuildParams { cubature: Some(cubature), ..params(&bar, 10) };
     let open = build::build(bar.mesh.clone(), &params, &Uncontrolled).unwrap();

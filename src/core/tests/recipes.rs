@@ -63,6 +63,7 @@ pub(crate) fn trained_bar() -> (BarMesh, BuildParams) {
         tolerance: 0.05,
         seed: 1,
         selection: Default::default(),
+        smoothing: true,
     });
     let params = BuildParams { basis_size: 16, cubature, ..params(&bar, 10) };
     (bar, params)
@@ -135,7 +136,7 @@ fn recipes_that_nobody_made_are_refused() {
         build::remake(&params, &recipe, &[], &Uncontrolled).expect_err("made")
     };
     let rule = |tets: Vec<u32>, weights: Vec<f64>| {
-        Some((sutura_core::cubature::Rule { tets, weights }, 0.0))
+        Some((sutura_core::cubature::Rule::of_tets(tets, weights), 0.0))
     };
     let error = refused(&|r| r.reuse = rule(vec![u32::MAX], vec![1.0]));
     assert!(matches!(error, BuildError::BadParameter { name: "cubature point", .. }), "{error}");
@@ -143,6 +144,16 @@ fn recipes_that_nobody_made_are_refused() {
     assert!(matches!(error, BuildError::BadParameter { name: "cubature weights", .. }), "{error}");
     let error = refused(&|r| r.reuse = rule(vec![0], vec![f64::NAN]));
     assert!(matches!(error, BuildError::BadParameter { name: "cubature weight", .. }), "{error}");
+    let smoothed = |smoothing| {
+        let mut rule = rule(vec![0], vec![1.0]);
+        rule.as_mut().unwrap().0.smoothing = smoothing;
+        rule
+    };
+    for smoothing in [vec![[[0.0; 3]; 4]; 2], vec![[[f64::NAN; 3]; 4]]] {
+        let error = refused(&|r| r.reuse = smoothed(smoothing.clone()));
+        let is_named = matches!(error, BuildError::BadParameter { name: "cubature smoothing", .. });
+        assert!(is_named, "{error}");
+    }
     let error = refused(&|r| r.tolerance = 2.0);
     assert!(matches!(error, BuildError::BadParameter { name: "tolerance", .. }), "{error}");
     let error = refused(&|r| Arc::make_mut(&mut r.seams).groups = vec![vec![[0, u32::MAX]]]);

@@ -20,7 +20,11 @@ const CUBATURE: CubatureParams = CubatureParams {
     tolerance: 0.02,
     seed: 7,
     selection: Selection::GreedyNnls,
+    smoothing: true,
 };
+
+/// Fewer points than the tolerance needs: they are smoothed.
+const FEW: CubatureParams = CubatureParams { n_points: 24, tolerance: 0.005, ..CUBATURE };
 
 fn stitched(bar: &BarMesh, cubature: Option<CubatureParams>) -> [Artifacts; 2] {
     let params = BuildParams { basis_size: 16, cubature, ..params(bar, 10) };
@@ -42,7 +46,7 @@ fn pose(body: &Artifacts, amplitude_m: f64, seed: f64) -> Vec<f64> {
 
 #[test]
 fn force_is_the_gradient_of_energy_and_stiffness_of_force() {
-    for cubature in [None, Some(CUBATURE)] {
+    for cubature in [None, Some(CUBATURE), Some(FEW)] {
         for body in stitched(&bar(Cut::HalfDepth), cubature) {
             let model = body.model();
             let (q, direction) = (pose(&body, 0.01, 1.0), pose(&body, 0.005, 2.0));
@@ -114,8 +118,23 @@ fn cubature_is_as_exact_as_it_says_on_poses_it_has_not_seen() {
 }
 
 #[test]
+fn smoothed_points_come_closer_than_tets() {
+    let [smoothed, tets] = [true, false].map(|smoothing| {
+        let [before, after] =
+            stitched(&bar(Cut::HalfDepth), Some(CubatureParams { smoothing, ..FEW }));
+        let (rule, _) = after.recipe().reuse.unwrap();
+        assert_eq!(rule.smoothing.len(), if smoothing { rule.tets.len() } else { 0 });
+        let report = *before.cubature().unwrap();
+        assert!(report.n_points <= FEW.n_points, "{report:?}");
+        report.validation_error
+    });
+    assert!(smoothed < 0.7 * tets, "{smoothed} {tets}");
+}
+
+#[test]
 fn a_client_can_evaluate_from_the_tables_alone() {
-    for body in stitched(&bar(Cut::HalfDepth), Some(CUBATURE)) {
+    let bar = bar(Cut::HalfDepth);
+    for body in [CUBATURE, FEW].into_iter().flat_map(|cubature| stitched(&bar, Some(cubature))) {
         let t = body.evaluator_tables();
         let r = t.r;
         let q = pose(&body, 0.01, 5.0);

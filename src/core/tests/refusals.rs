@@ -26,6 +26,7 @@ const CUBATURE: CubatureParams = CubatureParams {
     tolerance: 0.05,
     seed: 1,
     selection: Selection::GreedyNnls,
+    smoothing: true,
 };
 
 #[test]

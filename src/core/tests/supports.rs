@@ -154,6 +154,7 @@ fn states_and_bases_cross_a_change_of_supports() {
             tolerance: 0.05,
             seed: 3,
             selection: Selection::GreedyNnls,
+            smoothing: true,
         });
         let params = BuildParams { mass, basis_size: 14, cubature, ..params(&bar, 10) };
         let before = start(&bar, &params);

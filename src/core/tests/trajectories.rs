@@ -129,6 +129,7 @@ fn reduced_motion_follows_full_order_motion_for_every_law() {
         tolerance: 0.01,
         seed: 5,
         selection: Selection::GreedyNnls,
+        smoothing: true,
     };
     for law in Law::ALL {
         let tip: Vec<[f64; 3]> = {

@@ -87,6 +87,7 @@ struct StitchRecord {
 #[derive(Serialize, Deserialize)]
 struct RuleRecord {
     tets: Vec<u32>,
+    /// One a tet, and behind them the smoothing of each where there is any: that came later.
     weights: Vec<f64>,
     trained_error: f64,
 }
@@ -154,11 +155,7 @@ impl RecipeRecord {
             next_stitch_id: state.next_id(),
             method: method.map(|method| MethodRecord::new(method, *derivatives)),
             tolerance: *tolerance,
-            reuse: reuse.as_ref().map(|(rule, trained_error)| RuleRecord {
-                tets: rule.tets.clone(),
-                weights: rule.weights.clone(),
-                trained_error: *trained_error,
-            }),
+            reuse: reuse.as_ref().map(|(rule, error)| RuleRecord::new(rule, *error)),
             seam_groups: seams.groups.clone(),
             seam_closing_stiffness_n_m: seams.closing_stiffness_n_m,
             skipped: skipped.clone(),
@@ -202,16 +199,12 @@ impl RecipeRecord {
             self.folded.iter().copied().collect(),
             self.next_stitch_id,
         );
-        let rule = |record: &RuleRecord| {
-            let RuleRecord { tets, weights, trained_error } = record;
-            (Rule { tets: tets.clone(), weights: weights.clone() }, *trained_error)
-        };
         Ok(Recipe {
             state: state.map_err(Unreadable::new)?,
             method: self.method.map(MethodRecord::method),
             derivatives: self.method.map(MethodRecord::derivatives).unwrap_or_default(),
             tolerance: self.tolerance,
-            reuse: self.reuse.as_ref().map(rule),
+            reuse: self.reuse.as_ref().map(RuleRecord::rule).transpose()?,
             seams: Arc::new(SeamRecipe {
                 groups: self.seam_groups.clone(),
                 closing_stiffness_n_m: self.seam_closing_stiffness_n_m,
@@ -223,6 +216,31 @@ impl RecipeRecord {
                 .map(ClosingRecord::report)
                 .collect::<Result<_, Unreadable>>()?,
         })
+    }
+}
+
+impl RuleRecord {
+    fn new(rule: &Rule, trained_error: f64) -> RuleRecord {
+        let smoothing = rule.smoothing.as_flattened().as_flattened();
+        RuleRecord {
+            tets: rule.tets.clone(),
+            weights: [&rule.weights, smoothing].concat(),
+            trained_error,
+        }
+    }
+
+    fn rule(&self) -> Result<(Rule, f64), Unreadable> {
+        let RuleRecord { tets, weights, trained_error } = self;
+        let (weights, numbers) = weights.split_at(tets.len().min(weights.len()));
+        let (vectors, []) = numbers.as_chunks::<3>() else {
+            return Err(Unreadable::new("a cubature point's smoothing is cut off"));
+        };
+        let (smoothing, []) = vectors.as_chunks::<4>() else {
+            return Err(Unreadable::new("a cubature point's smoothing is cut off"));
+        };
+        let rule =
+            Rule { tets: tets.clone(), weights: weights.to_vec(), smoothing: smoothing.to_vec() };
+        Ok((rule, *trained_error))
     }
 }
 
@@ -254,5 +272,28 @@ impl ClosingRecord {
             dropped_energy_j: self.dropped_energy_j,
             largest_displacement_m: self.largest_displacement_m,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rules_are_read_with_and_without_smoothing() {
+        let record = |weights: Vec<f64>| {
+            RuleRecord { tets: vec![3, 8], weights, trained_error: 0.25 }.rule()
+        };
+        let plain = Rule::of_tets(vec![3, 8], vec![2.0, 5.0]);
+        let smoothing = vec![[[0.5, 0.0, -0.25]; 4], [[0.0, 1.0, 0.125]; 4]];
+        let smoothed = Rule { smoothing, ..plain.clone() };
+        for rule in [plain, smoothed] {
+            let written = RuleRecord::new(&rule, 0.25);
+            assert_eq!(written.rule().unwrap(), (rule, 0.25));
+        }
+        assert!(record(vec![2.0, 5.0, 0.5]).is_err());
+        assert!(record(vec![0.0; 2 + 3]).is_err());
+        // Weights are missing: the core refuses such a rule.
+        assert!(record(vec![2.0]).unwrap().0.smoothing.is_empty());
     }
 }

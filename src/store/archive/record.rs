@@ -147,12 +147,17 @@ enum PcaRecord {
     Randomized,
 }
 
+/// How points are chosen, and whether they are smoothed: what came first did not say so.
 #[derive(Clone, Serialize, Deserialize)]
 enum SelectionRecord {
     GreedyNnls,
     NnHtp,
     SparseNnls,
     EmpiricalCubature,
+    SmoothedGreedyNnls,
+    SmoothedNnHtp,
+    SmoothedSparseNnls,
+    SmoothedEmpiricalCubature,
 }
 
 #[derive(Clone, Serialize, Deserialize)]
@@ -269,33 +274,44 @@ impl MaterialRecord {
 
 impl CubatureRecord {
     fn new(params: &CubatureParams) -> CubatureRecord {
-        let CubatureParams { n_points, n_training_poses, tolerance, seed, selection } = *params;
+        let CubatureParams { n_points, n_training_poses, tolerance, seed, selection, smoothing } =
+            *params;
         CubatureRecord {
             n_points: n_points as u64,
             n_training_poses: n_training_poses as u64,
             tolerance,
             seed,
-            selection: match selection {
-                Selection::GreedyNnls => SelectionRecord::GreedyNnls,
-                Selection::NnHtp => SelectionRecord::NnHtp,
-                Selection::SparseNnls => SelectionRecord::SparseNnls,
-                Selection::EmpiricalCubature => SelectionRecord::EmpiricalCubature,
+            selection: match (selection, smoothing) {
+                (Selection::GreedyNnls, false) => SelectionRecord::GreedyNnls,
+                (Selection::NnHtp, false) => SelectionRecord::NnHtp,
+                (Selection::SparseNnls, false) => SelectionRecord::SparseNnls,
+                (Selection::EmpiricalCubature, false) => SelectionRecord::EmpiricalCubature,
+                (Selection::GreedyNnls, true) => SelectionRecord::SmoothedGreedyNnls,
+                (Selection::NnHtp, true) => SelectionRecord::SmoothedNnHtp,
+                (Selection::SparseNnls, true) => SelectionRecord::SmoothedSparseNnls,
+                (Selection::EmpiricalCubature, true) => SelectionRecord::SmoothedEmpiricalCubature,
             },
         }
     }
 
     fn params(&self) -> Result<CubatureParams, Unreadable> {
+        let (selection, smoothing) = match self.selection {
+            SelectionRecord::GreedyNnls => (Selection::GreedyNnls, false),
+            SelectionRecord::NnHtp => (Selection::NnHtp, false),
+            SelectionRecord::SparseNnls => (Selection::SparseNnls, false),
+            SelectionRecord::EmpiricalCubature => (Selection::EmpiricalCubature, false),
+            SelectionRecord::SmoothedGreedyNnls => (Selection::GreedyNnls, true),
+            SelectionRecord::SmoothedNnHtp => (Selection::NnHtp, true),
+            SelectionRecord::SmoothedSparseNnls => (Selection::SparseNnls, true),
+            SelectionRecord::SmoothedEmpiricalCubature => (Selection::EmpiricalCubature, true),
+        };
         Ok(CubatureParams {
             n_points: size(self.n_points)?,
             n_training_poses: size(self.n_training_poses)?,
             tolerance: self.tolerance,
             seed: self.seed,
-            selection: match self.selection {
-                SelectionRecord::GreedyNnls => Selection::GreedyNnls,
-                SelectionRecord::NnHtp => Selection::NnHtp,
-                SelectionRecord::SparseNnls => Selection::SparseNnls,
-                SelectionRecord::EmpiricalCubature => Selection::EmpiricalCubature,
-            },
+            selection,
+            smoothing,
         })
     }
 }

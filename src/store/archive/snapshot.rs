@@ -14,7 +14,7 @@ use sutura_core::build::{
     Verdict,
 };
 use sutura_core::control::Stage;
-use sutura_core::cubature::Rule;
+use sutura_core::cubature::{Rule, Smoothing};
 use sutura_core::modes::AuditedSpectrum;
 
 /// Numbers may differ in their last bits from one version of this program to the next: what one keeps, another does
@@ -111,6 +111,7 @@ struct SmallRecord {
 struct FittedRecord {
     tets: Vec<u32>,
     weights: Vec<f64>,
+    smoothing: Vec<Smoothing>,
     n_points: u64,
     source: SourceRecord,
     validation_error: f64,
@@ -301,11 +302,13 @@ impl SmallRecord {
 
 impl FittedRecord {
     fn new(kept: &CubatureSnapshot) -> FittedRecord {
-        let CubatureSnapshot { rule: Rule { tets, weights }, report, trained_error } = kept;
+        let CubatureSnapshot { rule: Rule { tets, weights, smoothing }, report, trained_error } =
+            kept;
         let CubatureReport { n_points, source, validation_error } = *report;
         FittedRecord {
             tets: tets.clone(),
             weights: weights.clone(),
+            smoothing: smoothing.clone(),
             n_points: n_points as u64,
             source: match source {
                 CubatureSource::Trained => SourceRecord::Trained,
@@ -320,7 +323,7 @@ impl FittedRecord {
 
     fn snapshot(self) -> Result<CubatureSnapshot, Unreadable> {
         Ok(CubatureSnapshot {
-            rule: Rule { tets: self.tets, weights: self.weights },
+            rule: Rule { tets: self.tets, weights: self.weights, smoothing: self.smoothing },
             report: CubatureReport {
                 n_points: count(self.n_points)?,
                 source: match self.source {

@@ -138,6 +138,7 @@ fn build_params(
                 SelectionConfig::SparseNnls => Selection::SparseNnls,
                 SelectionConfig::EmpiricalCubature => Selection::EmpiricalCubature,
             },
+            smoothing: cubature.smoothing,
         }),
         damping: RayleighDamping {
             mass_per_s: config.damping.rayleigh_mass_per_s,
@@ -304,6 +305,7 @@ fn parameters(
                 Selection::SparseNnls => SelectionConfig::SparseNnls,
                 Selection::EmpiricalCubature => SelectionConfig::EmpiricalCubature,
             },
+            smoothing: cubature.smoothing,
         }),
         damping: DampingConfig {
             rayleigh_mass_per_s: params.damping.mass_per_s,
@@ -372,6 +374,13 @@ mod tests {
             assert_eq!(request.params.cubature.unwrap().selection, method);
             let shown = parameters(&request.params, 0, &request.mesh);
             assert_eq!(serde_json::to_value(shown.cubature.unwrap().selection).unwrap(), name);
+        }
+        for smoothing in [true, false] {
+            let config = config(|c| c["cubature"] = serde_json::json!({"smoothing": smoothing}));
+            let request = created(&config, None).unwrap();
+            assert_eq!(request.params.cubature.unwrap().smoothing, smoothing);
+            let shown = parameters(&request.params, 0, &request.mesh);
+            assert_eq!(shown.cubature.unwrap().smoothing, smoothing);
         }
         let unknown = config(|c| c["cubature"] = serde_json::json!({"selection": "best"}));
         assert_eq!(created(&unknown, None).unwrap_err().pointer.unwrap(), "/cubature/selection");
