@@ -342,7 +342,7 @@ pub struct CubatureInfo {
 pub enum CubatureSource {
     /// Points and weights of the previous generation.
     Reused,
-    /// Points of the previous generation, weights fitted anew.
+    /// Points of the previous generation, weights fitted anew, and smoothing where there is any.
     Refitted,
     /// Points chosen and weights fitted for this basis.
     Retrained,

@@ -65,7 +65,7 @@ class Evaluator:
     shape_gradients: FloatArray
     """(p, 4, 3): gradients of the four shape functions in 1/m."""
     basis_rows: FloatArray
-    """(p, 4, 3, r): basis rows at the four corners; at a smoothed point, of an affine displacement with its gradient."""
+    """(p, 4, 3, r): basis rows at the four corners, or of a displacement with the point's gradient."""
     stitch_stiffness: FloatArray
     """(r, r): reduced stiffness of the stitches."""
     laws: npt.NDArray[np.uint32]

@@ -31,7 +31,7 @@ pub enum CubatureSource {
     Trained,
     /// Points and weights of the previous generation.
     Reused,
-    /// Points of the previous generation, weights fitted anew.
+    /// Points of the previous generation, weights fitted anew, and smoothing where there is any.
     Refitted,
     /// Chosen and fitted anew, because the previous points no longer served.
     Retrained,
