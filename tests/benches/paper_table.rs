@@ -56,7 +56,7 @@ struct Arguments {
     /// Vertices of the largest cube; 0 leaves the cubes out.
     #[arg(long)]
     cubes: Option<usize>,
-    /// Compare the methods that select cubature points as well: 16 builds a body.
+    /// Compare the methods that select cubature points as well: 20 builds a body.
     #[arg(long)]
     cubature: bool,
     /// Write the equations that each body's cubature points are selected from to this folder, instead.
