@@ -62,6 +62,9 @@ struct Arguments {
     /// Write the equations that each body's cubature points are selected from to this folder, instead.
     #[arg(long, value_name = "FOLDER")]
     training: Option<PathBuf>,
+    /// With --training: of each body closed by all of its own stitches.
+    #[arg(long, requires = "training")]
+    closed: bool,
     /// How good rebuilt bases are, instead of what they take: accuracy.json, accuracy.md and a picture.
     #[arg(long)]
     accuracy: bool,
@@ -131,7 +134,7 @@ fn run(arguments: &Arguments) -> Result<ExitCode, Failure> {
     }
     if let Some(folder) = &arguments.training {
         for name in &plan.bodies {
-            training::export(&bodies::Body::load(&plan.meshes, name)?, folder)?;
+            training::export(&bodies::Body::load(&plan.meshes, name)?, arguments.closed, folder)?;
         }
         return Ok(ExitCode::SUCCESS);
     }

@@ -3,11 +3,12 @@
 use crate::bodies::{Body, Failure};
 use crate::clock::Clock;
 use crate::cubature::{METHODS, NEVER, POINTS};
+use crate::edits::TOLERANCE;
 use serde::Serialize;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
-use sutura_core::build::{self, Examined};
+use sutura_core::build::{self, BuildParams, Examined, Method, RebuildParams};
 use sutura_core::cubature::{Rule, Samples, Training, smooth, train};
 
 /// Tets whose columns are held at a time.
@@ -30,11 +31,18 @@ struct Found {
 }
 
 /// Writes the equations of `body`'s training poses and of its held-out poses to `folder`, a row a tet and one for
-/// their sum (.npy, single precision: files of half a gigabyte), and how far each method comes with them.
-pub(crate) fn export(body: &Body, folder: &Path) -> Result<(), Failure> {
+/// their sum (.npy, single precision: files of half a gigabyte), and how far each method comes with them; with the body
+/// closed by all of its own stitches if `is_closed`.
+pub(crate) fn export(body: &Body, is_closed: bool, folder: &Path) -> Result<(), Failure> {
     std::fs::create_dir_all(folder)?;
-    let params = body.session(&[]);
-    let cubature = params.cubature.ok_or("a session without cubature")?;
+    let session = body.session(&[]);
+    let cubature = session.cubature.ok_or("a session without cubature")?;
+    let params = BuildParams { cubature: None, ..session };
+    let mut made = build::build(body.mesh.clone(), &params, &Clock::start())?;
+    if is_closed {
+        let method = RebuildParams::new(Method::Flexibility, TOLERANCE);
+        made = build::rebuild(&made, &body.stitch(&body.stitches), &method, &Clock::start())?.0;
+    }
     let n_tets = body.mesh.tets().len();
     let examine = |poses: Examined<'_>| -> Result<(), Failure> {
         let Examined { training, more, held_out } = poses;
@@ -51,7 +59,8 @@ pub(crate) fn export(body: &Body, folder: &Path) -> Result<(), Failure> {
                 let mut rule = train(&training, &wanted, &clock)?;
                 if smoothing {
                     let (samples, more) = (training.clone(), || Ok(more.clone()));
-                    rule = smooth(rule, samples, more, NEVER, &clock)?;
+                    let suffices = |rule: &Rule| held_out.error(rule) <= cubature.tolerance;
+                    rule = smooth(rule, samples, more, NEVER, &suffices, &clock)?;
                 }
                 let error = held_out.error(&rule);
                 found.push(Found { method, n_points: rule.tets.len(), error });
@@ -61,7 +70,7 @@ pub(crate) fn export(body: &Body, folder: &Path) -> Result<(), Failure> {
         let ours = Ours { n_held_out: held_out.n_poses(), rules: found };
         Ok(std::fs::write(path, serde_json::to_vec_pretty(&ours)?)?)
     };
-    build::examine_training(body.mesh.clone(), &params, &cubature, &Clock::start(), examine)?
+    build::examine_training(&made, &cubature, &Clock::start(), examine)?
 }
 
 /// NumPy's format, version 1.0.

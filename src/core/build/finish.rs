@@ -384,13 +384,14 @@ impl<'a> Fit<'a> {
         }
         control.progress(Stage::Cubature, 0.1);
         let training = samples(n_training_poses, seed)?;
-        let smoothed = |rule: Rule| {
+        let smoothed = |rule: Rule, suffices: &dyn Fn(&Rule) -> bool| {
             let more = || samples(n_more, seed ^ SMOOTHING_SEED);
-            cubature::smooth(rule, training.clone(), more, tolerance, control)
+            cubature::smooth(rule, training.clone(), more, tolerance, suffices, control)
         };
         if let Some((old, enough)) = worse {
-            // Weights first: they find at once what a step of both goes far for.
-            let rule = smoothed(cubature::refit(&training, &old, control)?)?;
+            // Weights first: they find at once what a step of both goes far for. Where some rounds do not suffice, other
+            // points come next.
+            let rule = smoothed(cubature::refit(&training, &old, control)?, &|_| true)?;
             let refitted = report(&rule, CubatureSource::Refitted);
             if refitted.validation_error <= enough && self.is_balanced(&rule) {
                 return Ok((rule, refitted, refitted.validation_error));
@@ -399,7 +400,7 @@ impl<'a> Fit<'a> {
         let wanted = Training { selection, n_points, tolerance, seed };
         let mut rule = cubature::train(&training, &wanted, control)?;
         if smoothing {
-            rule = smoothed(rule)?;
+            rule = smoothed(rule, &|rule| validation.error(rule) <= tolerance)?;
         }
         let report = report(&rule, source);
         let trained_error = report.validation_error;

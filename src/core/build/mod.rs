@@ -116,16 +116,16 @@ pub fn build(
     finish(draft, clock)
 }
 
-/// Prepares `mesh` as [`build`] does, but instead of training the cubature rule of `params` lets `examine` see
-/// the poses that it would be fitted to and the held-out ones that it would be judged by.
+/// Lets `examine` see the poses that a cubature rule for `body` as it is now, from scratch, would be fitted to with
+/// these parameters, and the held-out ones that it would be judged by.
 pub fn examine_training<T>(
-    mesh: Arc<TetMesh>,
-    params: &BuildParams,
+    body: &Artifacts,
     cubature: &CubatureParams,
     control: &dyn Control,
     examine: impl FnOnce(Examined<'_>) -> T,
 ) -> Result<T, BuildError> {
-    let draft = first_draft(mesh, params, &[], &mut StageClock::start(control))?;
+    let mut clock = StageClock::start(control);
+    let draft = from_scratch(body.prepared.clone(), body.state.clone(), &mut clock)?;
     finish::examined(draft, cubature, control, examine)
 }
 

@@ -139,18 +139,19 @@ pub fn train(
 }
 
 /// Fits weights and smoothing of `rule` to `samples` and those that `more` gives, unless it is as good as `tolerance`
-/// wants it without ([`Smoothing`]).
+/// wants it without ([`Smoothing`]). More is done where the first rounds leave what does not suffice.
 pub fn smooth<'a>(
     rule: Rule,
     samples: Samples<'a>,
     more: impl FnOnce() -> Result<Samples<'a>, Cancelled>,
     tolerance: f64,
+    suffices: &dyn Fn(&Rule) -> bool,
     control: &dyn Control,
 ) -> Result<Rule, TrainingError> {
     if samples.error(&rule) <= TRAINING_MARGIN * tolerance {
         return Ok(rule);
     }
-    smoothing::smooth(&samples.with(more()?), rule, SMOOTHING_MARGIN * tolerance, control)
+    smoothing::smooth(&samples.with(more()?), rule, SMOOTHING_MARGIN * tolerance, suffices, control)
 }
 
 /// Fits weights to `samples` on the points of `rule`; some may fall to zero and leave it.

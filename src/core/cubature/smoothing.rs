@@ -19,9 +19,13 @@ use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatMut, MatRef, Par};
 use rayon::prelude::*;
 
-/// Most Gauss–Newton steps for each point. On the small stomach, fitted to 100 poses, the training error is 4.4, 3.7, 2.7 and 2.5 % after the
-/// first four.
+/// Gauss–Newton steps for each point, if these suffice. On the small stomach, fitted to 100 poses, the training error is 4.4, 3.7,
+/// 2.7 and 2.5 % after the first four.
 const ROUNDS: usize = 4;
+
+/// Most of them. Held-out errors with all stitches closed, after four and after the seven and six that gained enough: 5.25 and 4.82 %
+/// on the ball, 5.04 and 4.84 % on the stomach; each takes 0.15 s there.
+const MOST_ROUNDS: usize = 8;
 
 /// A round that gains less than this is the last.
 const LEAST_GAIN: f64 = 0.03;
@@ -46,11 +50,13 @@ const MOST_WEIGHT_CHANGE: f64 = 1.0;
 /// Columns of JᵀJ that one task makes.
 const COLUMNS_PER_TASK: usize = 96;
 
-/// Fits smoothing and weights of `rule` to `samples`, until the training error is at most `tolerance`.
+/// Fits smoothing and weights of `rule` to `samples`, until the training error is at most `tolerance`; after some rounds
+/// only as long as what was found does not suffice.
 pub(super) fn smooth(
     samples: &Samples<'_>,
     mut rule: Rule,
     tolerance: f64,
+    suffices: &dyn Fn(&Rule) -> bool,
     control: &dyn Control,
 ) -> Result<Rule, TrainingError> {
     let n_points = rule.tets.len();
@@ -60,7 +66,10 @@ pub(super) fn smooth(
         |residual: &Mat<f64>| (residual.squared_norm_l2() / residual.ncols().max(1) as f64).sqrt();
     // Points of one block lie all over the body.
     let n_blocks = n_points.div_ceil(POINTS_AT_A_TIME);
-    for round in 0..ROUNDS {
+    for round in 0..MOST_ROUNDS {
+        if round == ROUNDS && suffices(&rule) {
+            break;
+        }
         let before = error(&residual);
         for first in 0..n_blocks {
             control::check(control)?;
@@ -346,17 +355,21 @@ mod tests {
             let rule = Rule::of_tets(vec![3, 20, 41, 60, 77, 99, 120, 131], vec![18.0; 8]);
             let rule = selection::fit_weights(samples, &rule, &Uncontrolled).unwrap();
             let before = samples.error(&rule);
-            let fitted = smooth(samples, rule.clone(), 1e-9, &Uncontrolled).unwrap();
+            let smooth = |rule: &Rule, tolerance: f64, is_enough: bool| {
+                smooth(samples, rule.clone(), tolerance, &|_| is_enough, &Uncontrolled).unwrap()
+            };
+            let fitted = smooth(&rule, 1e-9, true);
             let after = samples.error(&fitted);
             assert!(after < 0.7 * before, "{before} {after}");
             assert!(fitted.weights.iter().all(|w| *w > 0.0));
             assert_eq!(fitted.smoothing.len(), fitted.tets.len());
-            assert_eq!(fitted, smooth(samples, rule.clone(), 1e-9, &Uncontrolled).unwrap());
+            assert_eq!(fitted, smooth(&rule, 1e-9, true));
+            // Where the first rounds do not suffice there are more.
+            assert!(samples.error(&smooth(&rule, 1e-9, false)) < 0.95 * after);
             // Where less is wanted, less is done.
-            let half = smooth(samples, rule.clone(), 0.95 * before, &Uncontrolled).unwrap();
-            assert!(samples.error(&half) > 1.01 * after);
+            assert!(samples.error(&smooth(&rule, 0.95 * before, false)) > 1.01 * after);
             let empty = Rule::of_tets(Vec::new(), Vec::new());
-            assert_eq!(empty, smooth(samples, empty.clone(), 1e-9, &Uncontrolled).unwrap());
+            assert_eq!(empty, smooth(&empty, 1e-9, false));
         });
     }
 
