@@ -157,10 +157,23 @@ impl Columns<'_> {
     /// `DᵀMD`.
     fn gram(&self) -> Mat<f64> {
         let mut gram = Mat::zeros(self.count(), self.count());
-        let mut at = 0;
-        for part in &self.parts {
-            gram.as_mut().subcols_mut(at, part.ncols()).copy_from(&self.inner(*part));
-            at += part.ncols();
+        let mut row = 0;
+        for (i, part) in self.parts.iter().enumerate() {
+            let mut column = 0;
+            for (j, other) in self.parts[..=i].iter().enumerate() {
+                let block = match j == i {
+                    true => self.mass.gram(*part),
+                    false => self.mass.inner(*part, *other),
+                };
+                let (rows, columns) = (block.nrows(), block.ncols());
+                gram.as_mut().submatrix_mut(row, column, rows, columns).copy_from(&block);
+                if j < i {
+                    let mut mirrored = gram.as_mut().submatrix_mut(column, row, columns, rows);
+                    mirrored.copy_from(block.transpose());
+                }
+                column += columns;
+            }
+            row += part.ncols();
         }
         gram
     }
@@ -168,9 +181,7 @@ impl Columns<'_> {
     /// Mass norms of the columns.
     fn lengths(&self) -> Vec<f64> {
         let columns = self.parts.iter().flat_map(|part| part.col_iter());
-        columns
-            .map(|column| self.mass.inner(column.as_mat(), column.as_mat())[(0, 0)].max(0.0).sqrt())
-            .collect()
+        columns.map(|column| self.mass.gram(column.as_mat())[(0, 0)].max(0.0).sqrt()).collect()
     }
 }
 
@@ -219,7 +230,7 @@ fn principal_coefficients(
 /// Columns that are M-orthonormal but for rounding, made so; the first change least.
 fn orthonormalized(mass: &Mass, mut x: Mat<f64>) -> Result<Mat<f64>, DenseError> {
     for _ in 0..3 {
-        let gram = mass.inner(x.as_ref(), x.as_ref());
+        let gram = mass.gram(x.as_ref());
         if linalg::distance_from_identity(gram.as_ref()) < 1e-13 {
             break;
         }
@@ -262,7 +273,7 @@ fn randomized(
                 let known = linalg::small_product(b.as_ref(), probe.as_ref());
                 linalg::add_product(block.as_mut(), -1.0, q.as_ref(), known.as_ref());
             }
-            let gram = mass.inner(block.as_ref(), block.as_ref());
+            let gram = mass.gram(block.as_ref());
             if iteration == 0 {
                 let length = (0..width).map(|j| gram[(j, j)]).fold(0.0, f64::max).sqrt();
                 longest = longest.max(length);
@@ -277,7 +288,7 @@ fn randomized(
             let known = mass.inner(q.as_ref(), block.as_ref());
             linalg::add_product(block.as_mut(), -1.0, q.as_ref(), known.as_ref());
         }
-        let gram = mass.inner(block.as_ref(), block.as_ref());
+        let gram = mass.gram(block.as_ref());
         let turn = linalg::orthonormal_coefficients(gram.as_ref(), DEPENDENT)?;
         let block = linalg::product(block.as_ref(), turn.as_ref());
         let block = orthonormalized(mass, block)?;
@@ -350,7 +361,7 @@ mod tests {
                 let (basis, singular) =
                     mass_pca(&mass, &modes, std::slice::from_ref(&group), size, method).unwrap();
                 assert_eq!(basis.ncols(), size);
-                let gram = mass.inner(basis.as_ref(), basis.as_ref());
+                let gram = mass.gram(basis.as_ref());
                 assert!(linalg::distance_from_identity(gram.as_ref()) < 1e-12, "{method:?}");
                 // What the basis does not capture, against the least that so many columns can leave.
                 let scaled = Mat::from_fn(N, size, |i, j| basis[(i, j)] * masses[i / 3].sqrt());

@@ -4,6 +4,9 @@ use super::sparse::ScalarMatrix;
 use crate::linalg;
 use faer::{Mat, MatRef};
 
+/// Columns of a Gram matrix that are made at a time.
+const COLUMNS_AT_A_TIME: usize = 32;
+
 /// How mass is distributed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MassKind {
@@ -33,22 +36,15 @@ impl Mass {
     /// `Y ← M·X`, both being n×k.
     pub fn multiply_into(&self, y: &mut Mat<f64>, x: MatRef<'_, f64>) {
         assert_eq!((y.nrows(), y.ncols()), (x.nrows(), x.ncols()));
-        linalg::for_each_column(y, |j, y| {
-            for (y, x) in y.iter_mut().zip(x.col(j).iter()) {
-                *y = *x;
-            }
-            match self {
-                Mass::Lumped(masses) => {
-                    for (three, m) in y.chunks_exact_mut(3).zip(masses) {
-                        three.iter_mut().for_each(|y| *y *= m);
-                    }
+        match self {
+            Mass::Lumped(masses) => linalg::for_each_column(y, |j, y| {
+                y.iter_mut().zip(x.col(j).iter()).for_each(|(y, x)| *y = *x);
+                for (three, m) in y.chunks_exact_mut(3).zip(masses) {
+                    three.iter_mut().for_each(|y| *y *= m);
                 }
-                Mass::Consistent(matrix) => {
-                    let source = y.to_vec();
-                    matrix.multiply_column(&source, y);
-                }
-            }
-        });
+            }),
+            Mass::Consistent(matrix) => matrix.multiply_into(y.as_mut(), x),
+        }
     }
 
     /// Entry of M between two free vertices that a tet couples (0 otherwise, or off the diagonal
@@ -73,8 +69,26 @@ impl Mass {
     pub fn inner(&self, x: MatRef<'_, f64>, y: MatRef<'_, f64>) -> Mat<f64> {
         match self {
             Mass::Lumped(masses) => linalg::weighted_gram(x, |row| masses[row / 3], y),
+            // The narrower of the two is weighed.
+            Mass::Consistent(_) if x.ncols() < y.ncols() => self.inner(y, x).transpose().to_owned(),
             Mass::Consistent(_) => linalg::gram(x, self.multiply(y).as_ref()),
         }
+    }
+
+    /// `XᵀMX`, of which about half is computed where X is wide.
+    pub fn gram(&self, x: MatRef<'_, f64>) -> Mat<f64> {
+        let k = x.ncols();
+        let mut gram = Mat::zeros(k, k);
+        for first in (0..k).step_by(COLUMNS_AT_A_TIME) {
+            let some = x.subcols(first, COLUMNS_AT_A_TIME.min(k - first));
+            let lower = self.inner(x.subcols(first, k - first), some);
+            gram.as_mut().submatrix_mut(first, first, k - first, some.ncols()).copy_from(&lower);
+            let end = first + some.ncols();
+            let below = lower.subrows(some.ncols(), k - end);
+            let mut mirrored = gram.as_mut().submatrix_mut(first, end, some.ncols(), k - end);
+            mirrored.copy_from(below.transpose());
+        }
+        gram
     }
 
     /// M-orthonormal columns with the span of X, twice orthogonalized; directions that are
@@ -84,9 +98,9 @@ impl Mass {
         x: MatRef<'_, f64>,
         drop: f64,
     ) -> Result<Mat<f64>, linalg::DenseError> {
-        let first = linalg::orthonormal_coefficients(self.inner(x, x).as_ref(), drop)?;
+        let first = linalg::orthonormal_coefficients(self.gram(x).as_ref(), drop)?;
         let y = linalg::product(x, first.as_ref());
-        let second = linalg::SmallCholesky::new(self.inner(y.as_ref(), y.as_ref()).as_ref())?;
+        let second = linalg::SmallCholesky::new(self.gram(y.as_ref()).as_ref())?;
         Ok(linalg::product(y.as_ref(), second.whitening().as_ref()))
     }
 

@@ -21,7 +21,7 @@ use crate::reduced::contact::{Contact, ContactSurface};
 use crate::reduced::{self, Evaluation, EvaluatorTables, ReducedModel, VertexRows};
 use faer::{Mat, MatRef};
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, OnceLock, PoisonError, RwLock, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, Weak};
 use std::time::Duration;
 
 /// Where the cubature rule of a generation came from.
@@ -76,7 +76,11 @@ pub(super) struct Prepared {
 /// Seams that grow while generations use them; none before somebody needs them
 /// ([`super::seams::present`]).
 #[derive(Default)]
-pub(super) struct SeamCache(RwLock<Option<Arc<Seams>>>);
+pub(super) struct SeamCache {
+    seams: RwLock<Option<Arc<Seams>>>,
+    /// Modal derivatives (n×p) of the base body, as long as they serve nothing but load cases that nobody has needed yet.
+    derivatives: Mutex<Option<Arc<Mat<f64>>>>,
+}
 
 impl Prepared {
     /// Rigid modes (n×k).
@@ -91,16 +95,22 @@ impl Prepared {
 
     /// What is prepared now, if anything is.
     pub(super) fn known_seams(&self) -> Option<Arc<Seams>> {
-        self.seams.0.read().unwrap_or_else(PoisonError::into_inner).clone()
+        self.seams.seams.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Puts larger seams in place; of two made at the same time the larger stays.
     pub(super) fn offer_seams(&self, seams: Arc<Seams>) {
-        let mut kept = self.seams.0.write().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = self.seams.seams.write().unwrap_or_else(PoisonError::into_inner);
         let size = |seams: &Seams| (seams.len(), seams.cases().len());
         if kept.as_ref().is_none_or(|kept| size(&seams) > size(kept)) {
             *kept = Some(seams);
         }
+        *self.derivatives() = None;
+    }
+
+    /// Its modal derivatives (n×p), from the build until there are load cases.
+    pub(super) fn derivatives(&self) -> MutexGuard<'_, Option<Arc<Mat<f64>>>> {
+        self.seams.derivatives.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The scale of the body's softest deformation, in 1/s².
@@ -315,7 +325,8 @@ impl Artifacts {
             + base.stiffness.bytes()
             + base.factor.bytes()
             + base.x.iter().map(|x| linalg::bytes(&x.columns)).sum::<usize>()
-            + base.known_seams().map_or(0, |seams| seams.bytes());
+            + base.known_seams().map_or(0, |seams| seams.bytes())
+            + base.derivatives().as_ref().map_or(0, |shapes| linalg::bytes(shapes));
         (Arc::as_ptr(base).addr(), n_bytes)
     }
 

@@ -3,7 +3,7 @@
 use super::StageClock;
 use super::artifacts::{Artifacts, Prepared, SeamCache};
 use super::params::{self, BuildError, BuildParams};
-use super::seams::{base_derivatives, unseamed};
+use super::seams::base_derivatives;
 use super::span::DerivativeSet;
 use super::spectrum::{Spectrum, lowest_spectrum};
 use super::update;
@@ -140,10 +140,10 @@ pub(super) fn prepare(
     let spectrum = AuditedSpectrum::converged(modes.eigenvalues, residuals);
     let mut prepared = assembled.prepared(params, state, (factor, sigma), modes.shapes, spectrum);
     let begin = clock.control.now();
-    let (set, loads) = base_derivatives(&prepared, clock.control)?;
+    let (set, _) = base_derivatives(&prepared, clock.control)?;
     prepared.column_time =
         clock.control.now().saturating_sub(begin) / set.pairs.len().max(1) as u32;
-    prepared.offer_seams(Arc::new(unseamed(&prepared, &set, loads.as_ref())));
+    *prepared.derivatives() = Some(set.shapes.clone());
     clock.finish(Stage::Derivatives)?;
     Ok((Arc::new(prepared), set))
 }

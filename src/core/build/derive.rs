@@ -9,6 +9,7 @@ use crate::derivatives;
 use crate::modes::LinearModes;
 use crate::modes::stitched::StitchedStiffness;
 use faer::{Mat, MatRef};
+use std::sync::Arc;
 
 /// What the derivative stage needs of a (stitched) body.
 pub(super) struct Body<'a> {
@@ -62,5 +63,5 @@ pub(super) fn new_derivatives<'a>(
     }
     let pairs = derivatives::pairs(lowest.eigenvalues.len());
     let eigenvalues = pairs.iter().map(|p| p.map(|i| lowest.eigenvalues[i])).collect();
-    Ok((DerivativeSet { shapes, pairs, eigenvalues, residual }, loads))
+    Ok((DerivativeSet { shapes: Arc::new(shapes), pairs, eigenvalues, residual }, loads))
 }

@@ -271,10 +271,10 @@ fn update_base(
         Method::FromScratch => from_scratch(base, state, &mut clock)?,
         Method::Flexibility => {
             let seams = match seams {
-                Some(recipe) => seams::remake(&base, &recipe, clock.control)?,
-                None => seams::present(&base, clock.control)?,
+                Some(recipe) => Some(seams::remake(&base, &recipe, clock.control)?),
+                None => base.known_seams(),
             };
-            origin.seams = seams.recipe().clone();
+            origin.seams = seams.as_ref().map(|seams| seams.recipe().clone()).unwrap_or_default();
             let wanted = update::Wanted { tolerance, derivatives };
             update::by_flexibility(base, state, reuse, seams, wanted, &mut clock)?
         }

@@ -6,14 +6,14 @@ use super::derive::{Body, new_derivatives};
 use super::params::{self, BuildError};
 use super::span::{DerivativeSet, combine};
 use crate::control::{Control, Stage};
-use crate::derivatives::LOAD_CASE_TOLERANCE;
+use crate::derivatives::{self, LOAD_CASE_TOLERANCE};
 use crate::edit::Stitch;
 use crate::modes::LinearModes;
 use crate::modes::load_cases::LoadCases;
 use crate::modes::prepared::{Coefficients, PreparedStitches};
 use crate::modes::seams::{BaseModes, SeamRecipe, Seams};
 use crate::modes::stitched::StitchedStiffness;
-use faer::{Mat, MatRef};
+use faer::Mat;
 use std::sync::Arc;
 
 /// Stiffness of the springs that close a seam for its load cases, in N/m, where no stitch in force tells
@@ -67,8 +67,7 @@ pub(super) fn present(
     if let Some(seams) = prepared.known_seams() {
         return Ok(seams);
     }
-    let (set, loads) = base_derivatives(prepared, control)?;
-    let seams = Arc::new(unseamed(prepared, &set, loads.as_ref()));
+    let seams = Arc::new(unseamed(prepared, control)?);
     prepared.offer_seams(seams.clone());
     Ok(prepared.known_seams().unwrap_or(seams))
 }
@@ -94,14 +93,26 @@ pub(super) fn base_derivatives(
     new_derivatives(&body, &modes, Some(&modes), count, control)
 }
 
-/// No pairs, beside the load cases that `set` solves for `loads`.
-pub(super) fn unseamed(prepared: &Prepared, set: &DerivativeSet, loads: MatRef<'_, f64>) -> Seams {
+/// No pairs, beside the load cases of the base body as it is.
+fn unseamed(prepared: &Prepared, control: &dyn Control) -> Result<Seams, BuildError> {
     let count = prepared.params.n_derivative_modes.min(prepared.params.n_modes);
     let eigenvalues = prepared.spectrum.eigenvalues.clone();
     let modes = LinearModes { shapes: prepared.modes().to_owned(), eigenvalues }.lowest(count);
+    let kept = prepared.derivatives().clone();
+    let (solutions, loads) = match kept {
+        Some(solutions) => {
+            let shapes = modes.shapes.as_ref();
+            (solutions, derivatives::right_hand_sides(&prepared.model, shapes, control)?)
+        }
+        None => {
+            let (set, loads) = base_derivatives(prepared, control)?;
+            (set.shapes, loads)
+        }
+    };
     let base = base_modes(prepared);
     let n_x = prepared.rigid().ncols() + prepared.modes().ncols();
-    Seams::new(LoadCases::none(n_x).with(&base, modes, loads, set.shapes.clone()))
+    let solutions = Arc::unwrap_or_clone(solutions);
+    Ok(Seams::new(LoadCases::none(n_x).with(&base, modes, loads.as_ref(), solutions)))
 }
 
 /// Adds `pairs` to `seams`, and load cases of the body with all of them closed, as stiffly as
@@ -241,5 +252,5 @@ fn solved_loads(
         tolerance,
     };
     let (set, loads) = new_derivatives(&body, &modes, Some(&base), count, control)?;
-    Ok((modes, loads, set.shapes))
+    Ok((modes, loads, Arc::unwrap_or_clone(set.shapes)))
 }

@@ -20,7 +20,7 @@ const SPANNED: f64 = 1e-4;
 /// Modal derivatives and where they come from.
 pub(super) struct DerivativeSet {
     /// n×p.
-    pub(super) shapes: Mat<f64>,
+    pub(super) shapes: Arc<Mat<f64>>,
     /// The two modes of each.
     pub(super) pairs: Vec<[usize; 2]>,
     /// Their eigenvalues.
@@ -95,14 +95,14 @@ fn reduce_dense(
     let params = &prepared.params;
     let weighed = LinearModes { shapes: modes, eigenvalues: weighing.to_vec() };
     let group = WeightedDerivatives {
-        shapes: derivatives.shapes.as_ref(),
+        shapes: Mat::as_ref(&derivatives.shapes),
         eigenvalues: derivatives.eigenvalues.clone(),
     };
     let (basis, _) = mass_pca(&prepared.mass, &weighed, &[group], params.basis_size, params.pca)?;
     let stretch = StitchMatrix::new(&prepared.model, stitches).transpose_times(basis.as_ref());
     Ok(Subspace {
         of_modes: prepared.mass.inner(basis.as_ref(), weighed.shapes.as_ref()),
-        of_derivatives: prepared.mass.inner(basis.as_ref(), derivatives.shapes.as_ref()),
+        of_derivatives: prepared.mass.inner(basis.as_ref(), Mat::as_ref(&derivatives.shapes)),
         pairs: derivatives.pairs,
         modes: Combination::of_dense(weighed.shapes),
         basis: Combination::of_dense(basis),

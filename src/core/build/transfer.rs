@@ -84,7 +84,7 @@ fn difference(
     let inside = mass.inner(old, new);
     let mut outside = new.to_owned();
     linalg::add_product(outside.as_mut(), -1.0, old, inside.as_ref());
-    let gram = mass.inner(outside.as_ref(), outside.as_ref());
+    let gram = mass.gram(outside.as_ref());
     let (values, vectors) = linalg::symmetric_eigen(gram.as_ref())?;
     let first = values.partition_point(|&v| v <= 1e-14);
     let directions = vectors.subcols(first, values.len() - first);

@@ -16,7 +16,7 @@ use crate::edit::EditState;
 use crate::linalg::{self, DenseError};
 use crate::modes::low_rank::{self, MassInverse};
 use crate::modes::prepared::PreparedStitches;
-use crate::modes::seams::Seams;
+use crate::modes::seams::{SeamRecipe, Seams};
 use crate::modes::stitched::{StitchMatrix, StitchedStiffness};
 use crate::modes::{self, AuditedSpectrum, LinearModes, flexibility, rigid};
 use faer::{Mat, MatRef};
@@ -43,12 +43,12 @@ pub(super) struct Wanted {
     pub(super) derivatives: Derivatives,
 }
 
-/// Everything up to the derivatives. `reuse` is the cubature rule in use, `seams` are what is prepared.
+/// Everything up to the derivatives. `reuse` is the cubature rule in use, `seams` are what is prepared, if anything is.
 pub(super) fn by_flexibility(
     prepared: Arc<Prepared>,
     state: EditState,
     reuse: Option<(Rule, f64)>,
-    seams: Arc<Seams>,
+    seams: Option<Arc<Seams>>,
     wanted: Wanted,
     clock: &mut StageClock<'_>,
 ) -> Result<Draft, BuildError> {
@@ -119,16 +119,23 @@ struct InSeams {
 fn in_seams(
     prepared: &Arc<Prepared>,
     state: &EditState,
-    mut seams: Arc<Seams>,
+    seams: Option<Arc<Seams>>,
     wanted: Wanted,
     clock: &mut StageClock<'_>,
 ) -> Result<Option<InSeams>, BuildError> {
     let stitches = &state.open_stitches();
     let pairs = stitches.iter().map(|s| s.pair);
-    let missing: Vec<[u32; 2]> = pairs.filter(|pair| seams.position(*pair).is_none()).collect();
+    let is_missing =
+        |pair: &[u32; 2]| seams.as_ref().is_none_or(|seams| seams.position(*pair).is_none());
+    let missing: Vec<[u32; 2]> = pairs.filter(is_missing).collect();
     if missing.len() > PREPARED_ON_THE_WAY {
         return Ok(None);
     }
+    let mut seams = match seams {
+        Some(seams) => seams,
+        // Without pairs, whatever has been prepared since: that is what recipes tell.
+        None => seams::remake(prepared, &SeamRecipe::default(), clock.control)?,
+    };
     if !missing.is_empty() {
         seams = seams::extend(prepared, &seams, &missing, stitches, clock.control)?;
         clock.finish(Stage::Seams)?;
@@ -329,7 +336,7 @@ fn low_rank_modes(
     let count = all.eigenvalues.len().saturating_sub(n_rigid_left);
     let shapes = all.shapes.subcols(n_rigid_left, count);
     // Through the inverse root of a Gram matrix they come orthonormal to 1e-7 only.
-    let gram = linalg::SmallCholesky::new(prepared.mass.inner(shapes, shapes).as_ref())?;
+    let gram = linalg::SmallCholesky::new(prepared.mass.gram(shapes).as_ref())?;
     Ok(LinearModes {
         shapes: linalg::product(shapes, gram.whitening().as_ref()),
         eigenvalues: all.eigenvalues[n_rigid_left..].to_vec(),

@@ -286,8 +286,7 @@ pub fn update(
         let unaccepted = spectrum.beyond(tolerance);
         if unaccepted.is_empty() || round == MOST_ROUNDS || stops_before(unaccepted.len()) {
             // The Ritz vectors are orthonormal to about 1e-10 where large rigid parts cancelled.
-            let gram =
-                linalg::SmallCholesky::new(mass.inner(shapes.as_ref(), shapes.as_ref()).as_ref())?;
+            let gram = linalg::SmallCholesky::new(mass.gram(shapes.as_ref()).as_ref())?;
             let shapes = linalg::product(shapes.as_ref(), gram.whitening().as_ref());
             return Ok(Updated { shapes, spectrum, n_rounds: round });
         }

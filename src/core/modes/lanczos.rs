@@ -219,7 +219,7 @@ impl<'a> Krylov<'a> {
         take_out(mass, self.remainder.as_mut(), self.problem.rigid);
         let c = take_out(mass, self.remainder.as_mut(), self.basis.as_ref());
         diagonal += c.subrows(first, width);
-        self.gram = mass.inner(self.remainder.as_ref(), self.remainder.as_ref());
+        self.gram = mass.gram(self.remainder.as_ref());
         self.leaning = (0..width)
             .map(|j| c.col(j).norm_max() / self.gram[(j, j)].sqrt().max(f64::MIN_POSITIVE))
             .fold(0.0, f64::max);
@@ -340,7 +340,7 @@ impl<'a> Krylov<'a> {
         if self.leaning > CANCELLATION || shrinking < CANCELLATION {
             take_out(mass, new.as_mut(), self.problem.rigid);
             take_out(mass, new.as_mut(), old);
-            let again = linalg::SmallCholesky::new(mass.inner(new.as_ref(), new.as_ref()).as_ref());
+            let again = linalg::SmallCholesky::new(mass.gram(new.as_ref()).as_ref());
             match again {
                 Ok(factor) => {
                     let turned = linalg::product(new.as_ref(), factor.whitening().as_ref());
@@ -356,7 +356,7 @@ impl<'a> Krylov<'a> {
         if kept < width {
             let block = self.basis.subcols(dim, kept);
             linalg::add_product(self.remainder.as_mut(), -1.0, block, coupling.as_ref());
-            let left = mass.inner(self.remainder.as_ref(), self.remainder.as_ref());
+            let left = mass.gram(self.remainder.as_ref());
             self.lost += (0..width).map(|i| left[(i, i)].max(0.0)).sum::<f64>().sqrt();
         }
         self.append_random(room - kept)?;
@@ -387,7 +387,7 @@ impl<'a> Krylov<'a> {
             for _pass in 0..3 {
                 take_out(mass, new.as_mut(), self.problem.rigid);
                 take_out(mass, new.as_mut(), old.as_ref());
-                let gram = mass.inner(new.as_ref(), new.as_ref());
+                let gram = mass.gram(new.as_ref());
                 let whitening = linalg::orthonormal_coefficients(gram.as_ref(), DEPENDENT)?;
                 if whitening.ncols() < count {
                     break;
@@ -395,8 +395,7 @@ impl<'a> Krylov<'a> {
                 let turned = linalg::product(new.as_ref(), whitening.as_ref());
                 new.copy_from(&turned);
             }
-            let error =
-                linalg::distance_from_identity(mass.inner(new.as_ref(), new.as_ref()).as_ref());
+            let error = linalg::distance_from_identity(mass.gram(new.as_ref()).as_ref());
             if error < 1e-10 {
                 return Ok(());
             }
@@ -417,6 +416,9 @@ impl<'a> Krylov<'a> {
 
 /// W ← W − P PᵀMW; returns PᵀMW.
 fn take_out(mass: &Mass, w: MatMut<'_, f64>, p: MatRef<'_, f64>) -> Mat<f64> {
+    if p.ncols() == 0 {
+        return Mat::zeros(0, w.ncols());
+    }
     let c = mass.inner(p, w.as_ref());
     linalg::add_product(w, -1.0, p, c.as_ref());
     c

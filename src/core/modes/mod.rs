@@ -168,5 +168,5 @@ pub fn residual_vectors(
 
 /// Largest entry of |ΦᵀMΦ − I|.
 pub fn orthonormality_error(mass: &Mass, shapes: MatRef<'_, f64>) -> f64 {
-    linalg::distance_from_identity(mass.inner(shapes, shapes).as_ref())
+    linalg::distance_from_identity(mass.gram(shapes).as_ref())
 }

@@ -73,7 +73,7 @@ impl<'a> StitchedBody<'a> {
 
     /// ‖u‖ in the norm of the mass.
     pub fn norm(&self, u: &[f64]) -> f64 {
-        self.mass.inner(column(u), column(u))[(0, 0)].sqrt()
+        self.mass.gram(column(u))[(0, 0)].sqrt()
     }
 
     /// K̂⁻¹·`load`: the displacement (n numbers) without the nonlinear terms.
@@ -114,7 +114,7 @@ impl<'a> StitchedBody<'a> {
 
     /// Coordinates of what the span of `basis` (n×r) holds of `u`, nearest in the norm of the mass.
     pub fn project(&self, basis: MatRef<'_, f64>, u: &[f64]) -> Result<Vec<f64>, String> {
-        let gram = self.mass.inner(basis, basis);
+        let gram = self.mass.gram(basis);
         let factor = SmallCholesky::new(gram.as_ref()).map_err(|e| e.to_string())?;
         let q = factor.solve(self.mass.inner(basis, column(u)).as_ref());
         Ok(q.col_as_slice(0).to_vec())

@@ -181,7 +181,7 @@ fn both_masses_sum_to_volume_times_density_along_each_axis() {
                 .collect::<Vec<_>>(),
             3,
         );
-        let inner = mass.inner(unit.as_ref(), unit.as_ref());
+        let inner = mass.gram(unit.as_ref());
         for (i, j) in (0..9).map(|k| (k / 3, k % 3)) {
             let expected = if i == j { total } else { 0.0 };
             assert!((inner[(i, j)] - expected).abs() < 1e-13 * total, "{kind:?} {i} {j}");
@@ -216,7 +216,7 @@ fn a_component_keeps_the_rigid_motions_that_its_supports_allow() {
         let stiffness = model.rest_stiffness(&pattern);
         let strained = stiffness.multiply(rigid.as_ref());
         assert!(strained.norm_max() < 1e-11 * stiffness.blocks()[0][0] * rigid.norm_max().max(1.0));
-        let gram = mass.inner(rigid.as_ref(), rigid.as_ref());
+        let gram = mass.gram(rigid.as_ref());
         assert!(sutura_core::linalg::distance_from_identity(gram.as_ref()) < 1e-12);
     }
 }

@@ -101,7 +101,7 @@ fn a_state_that_the_new_basis_can_represent_is_carried_over_exactly() {
     let jump = linalg::product(new.basis(), carried.as_ref()) - linalg::product(old.basis(), q);
     let model = new.full_model();
     let mass = model.mass(new.params().mass, &Arc::new(model.pattern(&[])));
-    let squared = mass.inner(jump.as_ref(), jump.as_ref())[(0, 0)];
+    let squared = mass.gram(jump.as_ref())[(0, 0)];
     assert!((squared - (1.0 - cosines_squared[last])).abs() < 1e-10);
 }
 

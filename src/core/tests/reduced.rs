@@ -210,7 +210,7 @@ fn the_basis_is_mass_orthonormal_and_its_rows_are_those_of_its_columns() {
     let [_, body] = stitched(&bar(Cut::HalfDepth), None);
     let model = body.full_model();
     let mass = model.mass(body.params().mass, &std::sync::Arc::new(model.pattern(&[])));
-    let gram: Mat<f64> = mass.inner(body.basis(), body.basis());
+    let gram: Mat<f64> = mass.gram(body.basis());
     assert!(linalg::distance_from_identity(gram.as_ref()) < 1e-10);
     let vertex = model.free_vertices()[17];
     let rows = body.basis_rows(vertex);

@@ -170,7 +170,7 @@ fn states_and_bases_cross_a_change_of_supports() {
         };
         for (old, new) in [(&before, &after), (&after, &before)] {
             let (u_old, u_new) = (all(old), all(new));
-            let gram = everywhere.inner(u_new.as_ref(), u_new.as_ref());
+            let gram = everywhere.gram(u_new.as_ref());
             assert!(linalg::distance_from_identity(gram.as_ref()) < 1e-10, "{mass:?}");
 
             let transfer = by_rows(&new.transfer_from(old), old.basis_size());

@@ -42,7 +42,7 @@ fn sine_of_largest_angle(body: &Artifacts, inner: &Mat<f64>, outer: &Mat<f64>) -
     let c = mass.inner(outer.as_ref(), inner.as_ref());
     let mut outside = inner.clone();
     linalg::add_product(outside.as_mut(), -1.0, outer.as_ref(), c.as_ref());
-    let gram = mass.inner(outside.as_ref(), outside.as_ref());
+    let gram = mass.gram(outside.as_ref());
     linalg::symmetric_eigen(gram.as_ref()).unwrap().0.last().copied().unwrap().max(0.0).sqrt()
 }
 
