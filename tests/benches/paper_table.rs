@@ -25,7 +25,6 @@ mod training;
 use bodies::Failure;
 use clap::Parser;
 use measure::Check;
-use peers::Peers;
 use results::{Part, Plan};
 use std::io::Write;
 use std::path::PathBuf;
@@ -72,8 +71,8 @@ struct Arguments {
     /// under random pulls for each material law.
     #[arg(long, value_name = "STEPS")]
     reduced: Option<usize>,
-    /// What peers/peers.py wrote.
-    #[arg(long)]
+    /// A Python interpreter with what peers/requirements.txt names: runs peers/peers.py beside each body.
+    #[arg(long, value_name = "PYTHON")]
     peers: Option<PathBuf>,
     /// Where the results go.
     #[arg(long, default_value = "target/paper_table")]
@@ -154,8 +153,7 @@ fn run(arguments: &Arguments) -> Result<ExitCode, Failure> {
         std::fs::write(at("accuracy.md"), &text)?;
         return conclude(&text, &results.wrong());
     }
-    let peers = arguments.peers.as_deref().map(Peers::load).transpose()?;
-    let results = plan.run(peers)?;
+    let results = plan.run(arguments.peers.as_deref(), &arguments.out)?;
     let pictures = pictures::draw(&results, &arguments.out)?;
     let text = report::markdown(&results, &pictures);
     std::fs::write(at("paper_table.json"), serde_json::to_vec_pretty(&results)?)?;

@@ -4,11 +4,12 @@ use crate::bodies::Failure;
 use crate::edits::Rebuilds;
 use crate::measure::{Check, median};
 use crate::paper::vega;
-use crate::results::{BodyResults, Results};
+use crate::results::{BodyResults, Plan, Results};
 use crate::{references, scaling};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::process::Command;
 
 /// What `peers.py` found.
 #[derive(Serialize, Deserialize)]
@@ -72,6 +73,40 @@ impl Peers {
     pub(crate) fn load(path: &Path) -> Result<Peers, Failure> {
         let text = std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
         Ok(serde_json::from_slice(&text)?)
+    }
+
+    /// Runs `peers.py` for one body with the interpreter `python`; what it writes goes to `folder`.
+    pub(crate) fn measure(
+        python: &Path,
+        plan: &Plan,
+        name: &str,
+        folder: &Path,
+    ) -> Result<Peers, Failure> {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("peers/peers.py");
+        let found = folder.join(format!("peers_{name}.json"));
+        let status = Command::new(python)
+            .arg(script)
+            .args(["--bodies", name, "--repeat", &plan.repeat.to_string()])
+            .arg("--meshes")
+            .arg(&plan.meshes)
+            .arg("--out")
+            .arg(&found)
+            .status()?;
+        if !status.success() {
+            return Err(format!("{name}: the peers failed ({status})").into());
+        }
+        Peers::load(&found)
+    }
+
+    /// These and `others`, of other bodies.
+    pub(crate) fn with(mut self, others: Peers) -> Peers {
+        for part in others.description.split("; ") {
+            if !self.description.contains(part) {
+                self.description += &format!("; {part}");
+            }
+        }
+        self.bodies.extend(others.bodies);
+        self
     }
 }
 
@@ -257,13 +292,13 @@ fn kernel_ratios(body: &BodyResults, peer: &PeerBody, is_largest: bool) -> Vec<R
     });
     if let Some(session) = &peer.session {
         let target = if body.name == "stomach" { Target::AtLeast(4.0) } else { Target::None };
-        ratios.push(faster(
-            "session build",
-            "SciPy, Pardiso and NumPy",
-            body.sessions.total.median_s,
-            median(&session.seconds),
-            target,
-        ));
+        for (work, ours, target) in [
+            ("session build, tets as points", &body.sessions_of_tets, target),
+            ("session build, smoothed points", &body.sessions, Target::None),
+        ] {
+            let seconds = [ours.total.median_s, median(&session.seconds)];
+            ratios.push(faster(work, "SciPy, Pardiso and NumPy", seconds[0], seconds[1], target));
+        }
     }
     ratios
 }

@@ -11,9 +11,10 @@ use crate::peers::{self, Peers, Ratio};
 use crate::references::Reference;
 use crate::scaling::{self, Scaling};
 use crate::session::{self, Session, Sessions, Vega};
+use clap::ValueEnum;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 /// What to measure.
@@ -42,6 +43,7 @@ pub(crate) enum Part {
     Kernels,
     Edits,
     Session,
+    SessionOfTets,
     Cubature,
     Accuracy,
     Vega,
@@ -55,6 +57,8 @@ pub(crate) struct BodyResults {
     pub(crate) kernels: Kernels,
     pub(crate) edits: Edits,
     pub(crate) sessions: Sessions,
+    /// With cubature points that are not smoothed, which is what peers build.
+    pub(crate) sessions_of_tets: Sessions,
     /// Empty unless asked for.
     pub(crate) cubature: Vec<Method>,
 }
@@ -96,7 +100,8 @@ impl Plan {
                 self.most_stitches,
                 self.repeat,
             )?)?,
-            Part::Session => serde_json::to_value(session::measure(&body)?)?,
+            Part::Session => serde_json::to_value(session::measure(&body, true)?)?,
+            Part::SessionOfTets => serde_json::to_value(session::measure(&body, false)?)?,
             Part::Cubature => serde_json::to_value(cubature::measure(&body)?)?,
             Part::Accuracy => serde_json::to_value(accuracy::measure(&body, self.most_stitches)?)?,
             Part::Vega => serde_json::to_value(session::measure_vega(&body, self.repeat)?)?,
@@ -111,7 +116,8 @@ impl Plan {
         }
         eprintln!("{name}: {part:?}");
         let mut command = Command::new(std::env::current_exe()?);
-        command.args(["--child", &format!("{part:?}").to_lowercase(), "--bodies", name]);
+        let part_name = part.to_possible_value().ok_or("a part without a name")?;
+        command.args(["--child", part_name.get_name(), "--bodies", name]);
         command.arg("--meshes").arg(&self.meshes);
         command.args(["--repeat", &self.repeat.to_string()]);
         command.args(["--stitches", &self.most_stitches.to_string()]);
@@ -132,19 +138,32 @@ impl Plan {
         Ok(Accuracies::of(bodies.collect::<Result<_, _>>()?))
     }
 
-    /// Does everything else.
-    pub(crate) fn run(&self, peers: Option<Peers>) -> Result<Results, Failure> {
+    /// Does everything else. Each body's peers run right before it with the interpreter `python`, if there is one, their
+    /// results in `folder`: a machine that others share is fast in one half hour and slow in the next.
+    pub(crate) fn run(&self, python: Option<&Path>, folder: &Path) -> Result<Results, Failure> {
         let machine = Machine::here();
         let mut bodies = Vec::new();
+        let mut peers: Option<Peers> = None;
         for name in &self.bodies {
-            let sessions: Vec<Session> = (0..self.repeat)
-                .map(|_| self.answer(Part::Session, name))
-                .collect::<Result<_, _>>()?;
+            if let Some(python) = python {
+                let found = Peers::measure(python, self, name, folder)?;
+                peers = Some(match peers {
+                    Some(others) => others.with(found),
+                    None => found,
+                });
+            }
+            let kernels = self.answer(Part::Kernels, name)?;
+            let sessions = |part: Part| -> Result<Sessions, Failure> {
+                let all: Vec<Session> =
+                    (0..self.repeat).map(|_| self.answer(part, name)).collect::<Result<_, _>>()?;
+                Ok(Sessions::of(all).ok_or("at least one repetition is needed")?)
+            };
             bodies.push(BodyResults {
                 name: name.clone(),
-                kernels: self.answer(Part::Kernels, name)?,
+                kernels,
+                sessions_of_tets: sessions(Part::SessionOfTets)?,
+                sessions: sessions(Part::Session)?,
                 edits: self.answer(Part::Edits, name)?,
-                sessions: Sessions::of(sessions).ok_or("at least one repetition is needed")?,
                 cubature: match self.compares_cubature {
                     true => self.answer(Part::Cubature, name)?,
                     false => Vec::new(),

@@ -2,7 +2,7 @@
 # Peers and paper_table in one run: bash tests/benches/run.sh MESHES [REFERENCES] [OUT] [-- OPTIONS]
 #
 # Needs python3 with venv; for CHOLMOD also a C compiler and libsuitesparse-dev with an optimised BLAS
-# (libopenblas-dev). OPTIONS go to paper_table (--bodies and --repeat to the peers as well).
+# (libopenblas-dev). OPTIONS go to paper_table, which runs the peers of each body right before it.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
@@ -19,13 +19,6 @@ references=${paths[1]:-}
 out=${paths[2]:-${CARGO_TARGET_DIR:-$root/target}/paper_table}
 mkdir -p "$out"
 
-shared=()
-previous=
-for option in "$@"; do
-    case $previous in --bodies | --repeat) shared+=("$previous" "$option") ;; esac
-    previous=$option
-done
-
 python=${PEERS_VENV:-$out/venv}/bin/python
 if [ ! -x "$python" ]; then
     python3 -m venv "$(dirname "$(dirname "$python")")"
@@ -35,6 +28,5 @@ fi
 cd "$root"
 # Built before anything is timed.
 cargo bench --locked --bench paper_table --no-run
-"$python" "$here/peers/peers.py" --meshes "$meshes" --out "$out/peers.json" "${shared[@]}"
 cargo bench --locked --bench paper_table -- --meshes "$meshes" --out "$out" \
-    --peers "$out/peers.json" ${references:+--references "$references"} "$@"
+    --peers "$python" ${references:+--references "$references"} "$@"

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
-use sutura_core::build::{self, Artifacts, BuildParams, MassKind};
+use sutura_core::build::{self, Artifacts, BuildParams, CubatureParams, MassKind};
 use sutura_core::control::Stage;
 use sutura_core::mesh::TetMesh;
 
@@ -85,8 +85,10 @@ fn build(body: &Body, params: &BuildParams) -> Result<(Session, Artifacts), Fail
 }
 
 /// Opens a session on `body` once, no seams prepared.
-pub(crate) fn measure(body: &Body) -> Result<Session, Failure> {
-    Ok(build(body, &body.session(&[]))?.0)
+pub(crate) fn measure(body: &Body, smoothing: bool) -> Result<Session, Failure> {
+    let mut params = body.session(&[]);
+    params.cubature = params.cubature.map(|cubature| CubatureParams { smoothing, ..cubature });
+    Ok(build(body, &params)?.0)
 }
 
 /// The stomach at VegaFEM's own settings.
