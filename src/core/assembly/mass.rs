@@ -112,3 +112,37 @@ impl Mass {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::assembly::FullModel;
+    use crate::material::Material;
+    use crate::testing::{Bar, Cell, Cut};
+    use std::sync::Arc;
+
+    #[test]
+    fn inner_products_are_those_of_the_product() {
+        let bar =
+            Bar { size_m: [0.2, 0.05, 0.05], n_cells: [6, 2, 2], cell: Cell::Six, cut: Cut::Whole }
+                .mesh();
+        let material = Material::stvk(5e5, 0.4, 1000.0).unwrap();
+        let model = FullModel::new(bar.mesh.clone(), &[material], &bar.root);
+        let pattern = Arc::new(model.pattern(&[]));
+        let columns =
+            |k: usize| Mat::from_fn(model.n(), k, |i, j| ((3 * i + 7 * i * j) as f64).sin());
+        // More columns than are made at a time, and not a multiple of them.
+        let (wide, narrow) = (columns(2 * COLUMNS_AT_A_TIME + 5), columns(3));
+        for kind in [MassKind::Lumped, MassKind::Consistent] {
+            let mass = model.mass(kind, &pattern);
+            let weighed = mass.multiply(wide.as_ref());
+            let size = (wide.transpose() * &weighed).norm_max();
+            let close =
+                |found: Mat<f64>, exact: Mat<f64>| (found - exact).norm_max() < 1e-13 * size;
+            assert!(close(mass.gram(wide.as_ref()), wide.transpose() * &weighed), "{kind:?}");
+            let [wide, narrow] = [wide.as_ref(), narrow.as_ref()];
+            assert!(close(mass.inner(wide, narrow), weighed.transpose() * narrow), "{kind:?}");
+            assert!(close(mass.inner(narrow, wide), narrow.transpose() * &weighed), "{kind:?}");
+        }
+    }
+}
