@@ -263,9 +263,12 @@ async fn a_fork_goes_its_own_way_and_outlives_its_origin() {
     assert_eq!(info.name.as_deref(), Some("the other bar"));
     assert_eq!(info.frequencies_hz, before.frequencies_hz);
     fork.edit(&stitch(&seam())).await.unwrap();
-    // The base body is both's, and with it what is prepared for the fork's stitches.
-    let SessionInfo { memory_bytes, n_prepared_pairs, .. } = before;
+    // The base body is both's, and with it what is prepared for the fork's stitches; nothing else changes.
+    prepared(&origin, seam().len()).await;
     let info = origin.info().await.unwrap();
+    assert_eq!(info.n_prepared_pairs, seam().len());
+    assert!(info.memory_bytes > before.memory_bytes);
+    let SessionInfo { memory_bytes, n_prepared_pairs, .. } = before;
     assert_eq!(SessionInfo { memory_bytes, n_prepared_pairs, ..info }, before);
 
     let page = client.list(None, 1).await.unwrap();

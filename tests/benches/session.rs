@@ -84,7 +84,7 @@ fn build(body: &Body, params: &BuildParams) -> Result<(Session, Artifacts), Fail
     Ok((session, artifacts))
 }
 
-/// Opens a session on `body` once, no seams prepared.
+/// Opens a session on `body` once, no seams prepared, its cubature points smoothed or left as tets.
 pub(crate) fn measure(body: &Body, smoothing: bool) -> Result<Session, Failure> {
     let mut params = body.session(&[]);
     params.cubature = params.cubature.map(|cubature| CubatureParams { smoothing, ..cubature });
