@@ -192,6 +192,11 @@ pub fn columns(a: &Mat<f64>, chosen: &[usize]) -> Mat<f64> {
     some
 }
 
+/// Euclidean lengths of the columns.
+pub fn column_norms(a: &Mat<f64>) -> Vec<f64> {
+    (0..a.ncols()).into_par_iter().map(|j| (a.col(j).transpose() * a.col(j)).sqrt()).collect()
+}
+
 /// Bytes of a dense matrix.
 pub fn bytes(a: &Mat<f64>) -> usize {
     a.nrows() * a.ncols() * size_of::<f64>()

@@ -92,8 +92,7 @@ impl Case {
                 add(self.bar.tip[random.random_range(0..self.bar.tip.len())], 1.0, force);
             }
         }
-        let free = body.full_model().free_vertices();
-        free.iter().flat_map(|&v| all[3 * v as usize..][..3].to_vec()).collect()
+        body.full_model().restrict(&all)
     }
 
     /// The body before the edit.

@@ -275,13 +275,10 @@ impl Truth<'_> {
 
 /// Elastic modes over the free degrees of freedom.
 fn modes_of(body: &Artifacts) -> Mat<f64> {
-    let free = body.full_model().free_vertices();
-    let mut modes = Mat::zeros(3 * free.len(), body.n_modes());
+    let model = body.full_model();
+    let mut modes = Mat::zeros(model.n(), body.n_modes());
     for j in 0..body.n_modes() {
-        let all = body.mode(j);
-        for (to, &v) in modes.col_as_slice_mut(j).chunks_exact_mut(3).zip(free) {
-            to.copy_from_slice(&all[3 * v as usize..][..3]);
-        }
+        modes.col_as_slice_mut(j).copy_from_slice(&model.restrict(&body.mode(j)));
     }
     modes
 }

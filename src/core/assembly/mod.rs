@@ -86,16 +86,19 @@ impl FullModel {
             (0..n_tets).map(|t| of_tet(t).elasticity(factor(t))).collect();
         let density_kg_m3 = (0..n_tets).map(|t| of_tet(t).density_kg_m3()).collect();
 
-        let mut free: Vec<bool> =
+        let order = morton_order(&mesh);
+        let mut is_free: Vec<bool> =
             mesh.component_of_vertex().iter().map(|&c| c != NO_COMPONENT).collect();
         for &v in fixed {
-            free[v as usize] = false;
+            is_free[v as usize] = false;
         }
-        let free_vertices: Vec<u32> =
-            (0..free.len() as u32).filter(|&v| free[v as usize]).collect();
-        let mut free_of_vertex = vec![NOT_FREE; free.len()];
-        for (index, &v) in free_vertices.iter().enumerate() {
-            free_of_vertex[v as usize] = index as u32;
+        let mut free_vertices: Vec<u32> = Vec::new();
+        let mut free_of_vertex = vec![NOT_FREE; is_free.len()];
+        for &v in order.iter().flat_map(|&tet| &mesh.tets()[tet as usize]) {
+            if is_free[v as usize] && free_of_vertex[v as usize] == NOT_FREE {
+                free_of_vertex[v as usize] = free_vertices.len() as u32;
+                free_vertices.push(v);
+            }
         }
         let corners: Vec<[u32; 4]> =
             mesh.tets().iter().map(|t| t.map(|v| free_of_vertex[v as usize])).collect();
@@ -105,7 +108,7 @@ impl FullModel {
             &gradients,
             &volumes_m3,
             &elasticities,
-            &morton_order(&mesh),
+            &order,
         );
         let of_elements = tiles.elements().iter().map(|element| &element.corners);
         let incidence = Incidence::new(free_vertices.len(), of_elements);
@@ -131,7 +134,7 @@ impl FullModel {
     pub fn n(&self) -> usize {
         3 * self.free_vertices.len()
     }
-    /// The vertices that may move, ascending.
+    /// The vertices that may move, neighbours close to one another.
     pub fn free_vertices(&self) -> &[u32] {
         &self.free_vertices
     }
@@ -164,6 +167,11 @@ impl FullModel {
             all[3 * v as usize..][..3].copy_from_slice(three);
         }
         all
+    }
+
+    /// What a vector over all vertices has at the free degrees of freedom.
+    pub fn restrict(&self, all: &[f64]) -> Vec<f64> {
+        self.free_vertices.iter().flat_map(|&v| &all[3 * v as usize..][..3]).copied().collect()
     }
 
     /// Lumped mass of every vertex of the mesh in kg: ρV/4 of each tet at each of its corners.

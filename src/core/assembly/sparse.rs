@@ -190,7 +190,12 @@ impl BlockMatrix {
     pub fn multiply(&self, x: MatRef<'_, f64>) -> Mat<f64> {
         assert_eq!(x.nrows(), self.n());
         let mut y = Mat::zeros(self.n(), x.ncols());
-        multiply_rows(x, y.as_mut(), |vertex, packed| self.row_times(vertex, packed));
+        multiply_rows(
+            x,
+            y.as_mut(),
+            #[inline(always)]
+            |vertex, packed| self.row_times(vertex, packed),
+        );
         y
     }
 
@@ -243,7 +248,12 @@ impl ScalarMatrix {
     /// `Y ← (A ⊗ I₃)·X`, both being 3·vertices × k.
     pub fn multiply_into(&self, y: MatMut<'_, f64>, x: MatRef<'_, f64>) {
         assert_eq!(x.nrows(), 3 * self.pattern.n());
-        multiply_rows(x, y, |vertex, packed| self.row_times(vertex, packed));
+        multiply_rows(
+            x,
+            y,
+            #[inline(always)]
+            |vertex, packed| self.row_times(vertex, packed),
+        );
     }
 
     #[inline(always)]

@@ -94,12 +94,9 @@ pub(super) fn closed_shape(
         .map(|(x, u)| [x[0] + u[0], x[1] + u[1], x[2] + u[2]])
         .collect();
     join(&mut positions, &all, |vertex| base.fixed_vertices().contains(&vertex));
-    let moved = |v: usize, axis: usize| positions[v][axis] - mesh.vertices()[v][axis];
-    let u: Vec<f64> = model
-        .free_vertices()
-        .iter()
-        .flat_map(|&v| [0, 1, 2].map(|axis| moved(v as usize, axis)))
-        .collect();
+    let ends = positions.iter().flatten().zip(mesh.vertices().iter().flatten());
+    let moved: Vec<f64> = ends.map(|(after, before)| after - before).collect();
+    let u = model.restrict(&moved);
     let largest = u.chunks_exact(3).map(|u| u[0].hypot(u[1]).hypot(u[2])).fold(0.0, f64::max);
     let report = ClosingReport {
         edit,

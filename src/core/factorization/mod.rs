@@ -5,9 +5,11 @@ mod front;
 mod numeric;
 mod ordering;
 mod panel;
+mod reach;
 mod solve;
 mod symbolic;
 
+pub use reach::ReachedRows;
 pub use symbolic::SymbolicCholesky;
 
 use crate::assembly::mass::Mass;

@@ -171,6 +171,10 @@ impl SymbolicCholesky {
     pub(super) fn supernodes(&self) -> &[Supernode] {
         &self.supernodes
     }
+    /// The supernode with the column at a vertex position.
+    pub(super) fn supernode_of(&self, position: usize) -> usize {
+        self.supernodes.partition_point(|s| s.columns.end <= position)
+    }
     /// Vertex positions of the rows below a supernode's columns, ascending.
     pub(super) fn rows(&self, supernode: usize) -> &[u32] {
         &self.rows[self.supernodes[supernode].rows.clone()]

@@ -6,7 +6,7 @@
 //! 2. T = K̂_σ⁻¹R = K_σ⁻¹A Z with Z = (I + C)⁻¹AᵀU: combinations of the flexibility columns.
 //! 3. Ritz on [U, T] with K̂_σ.
 //! 4. Residuals of the Ritz pairs through one blocked solve; they are the audit, and where they
-//!    exceed the tolerance their solutions extend the space and 3 is repeated.
+//!    exceed the tolerance their solutions extend the space, and 3 and 4 are repeated for those pairs.
 //!
 //! Always from the modes of the *base* body, so that nothing accumulates over rounds of edits.
 
@@ -56,7 +56,8 @@ pub struct Update<'a> {
 pub struct Updated {
     /// The elastic modes wanted (n×r, M-orthonormal).
     pub shapes: Mat<f64>,
-    /// Their eigenvalues, residuals and estimated errors.
+    /// Their eigenvalues, residuals and estimated errors. The audit of a mode is that of the round that accepted
+    /// it: as the space grows, Ritz values only come closer to the exact ones (Cauchy's interlacing theorem).
     pub spectrum: AuditedSpectrum,
     /// Blocked solves that refinement took.
     pub n_rounds: usize,
@@ -95,6 +96,21 @@ struct Candidate {
     stretch: Mat<f64>,
 }
 
+impl Candidate {
+    fn new(problem: &Update<'_>, t: Mat<f64>) -> Candidate {
+        let weighted = Mat::zeros(t.nrows(), t.ncols());
+        let mut candidate = Candidate { t, weighted, stretch: Mat::new() };
+        candidate.renew(problem);
+        candidate
+    }
+
+    /// After T has changed.
+    fn renew(&mut self, problem: &Update<'_>) {
+        problem.mass.multiply_into(&mut self.weighted, self.t.as_ref());
+        self.stretch = problem.stitched.stitch_matrix().transpose_times(self.t.as_ref());
+    }
+}
+
 impl<'a> TrialSpace<'a> {
     fn new(problem: &'a Update<'a>) -> TrialSpace<'a> {
         let a = problem.stitched.stitch_matrix();
@@ -130,12 +146,6 @@ impl<'a> TrialSpace<'a> {
         }
     }
 
-    fn candidate(&self, t: Mat<f64>) -> Candidate {
-        let weighted = self.problem.mass.multiply(t.as_ref());
-        let stretch = self.problem.stitched.stitch_matrix().transpose_times(t.as_ref());
-        Candidate { t, weighted, stretch }
-    }
-
     /// SᵀMT and SᵀK̂_σT.
     fn inner_products(&self, candidate: &Candidate) -> [Mat<f64>; 2] {
         let columns = candidate.t.ncols();
@@ -162,25 +172,23 @@ impl<'a> TrialSpace<'a> {
         [inner_m, inner_k]
     }
 
-    /// Adds columns T after projecting out, in the K̂_σ inner product, what the space already holds,
-    /// and scaling them to unit energy. K̂_σT is multiplied out afterwards: carrying it along from
-    /// the right-hand side would save that product, but loses its digits to the subtraction where
-    /// free bodies have large rigid components (seen: the fork breaks down at tolerance 1e-8).
+    /// Adds columns T after projecting out, in the K̂_σ inner product, what the space already holds.
+    /// K̂_σT is multiplied out afterwards: carrying it along from the right-hand side would save that
+    /// product, but loses its digits to the subtraction where free bodies have large rigid components
+    /// (seen: the fork breaks down at tolerance 1e-8).
     fn extend(&mut self, t: Mat<f64>) -> Result<(), DenseError> {
-        let norms =
-            |t: &Mat<f64>| -> Vec<f64> { (0..t.ncols()).map(|j| t.col(j).norm_l2()).collect() };
-        let before = norms(&t);
+        let problem = self.problem;
+        let before = linalg::column_norms(&t);
         let b = linalg::orthonormal_coefficients(self.gram_k.as_ref(), DEPENDENT)?;
-        let mut candidate = self.candidate(t);
+        let mut candidate = Candidate::new(problem, t);
         let mut after = before.clone();
         for _ in 0..MOST_PROJECTIONS {
             let [_, inner_k] = self.inner_products(&candidate);
             let inner = linalg::small_product(b.transpose(), inner_k.as_ref());
             let onto = linalg::small_product(b.as_ref(), inner.as_ref());
-            let last = std::mem::take(&mut after);
             self.add_combination(&mut candidate.t, -1.0, onto.as_ref());
-            after = norms(&candidate.t);
-            candidate = self.candidate(candidate.t);
+            candidate.renew(problem);
+            let last = std::mem::replace(&mut after, linalg::column_norms(&candidate.t));
             // Where little is left, rounding has left something of the space: project again.
             if after.iter().zip(&last).all(|(after, last)| *after > 1e-2 * last) {
                 break;
@@ -189,27 +197,18 @@ impl<'a> TrialSpace<'a> {
         let new: Vec<usize> =
             (0..after.len()).filter(|&j| after[j] > CANCELLED * before[j]).collect();
         if new.len() < after.len() {
-            candidate = self.candidate(linalg::columns(&candidate.t, &new));
-        }
-        let sigma = self.problem.sigma;
-        let mut stiff = self.problem.stitched.multiply(candidate.t.as_ref());
-        let Candidate { t, weighted, .. } = &candidate;
-        linalg::for_each_column(&mut stiff, |j, stiff| {
-            for (k, m) in stiff.iter_mut().zip(weighted.col_as_slice(j)) {
-                *k += sigma * m;
-            }
-        });
-        let scale: Vec<f64> = (0..new.len())
-            .map(|j| {
-                let energy: f64 = t.col(j).transpose() * stiff.col(j);
-                energy.max(f64::MIN_POSITIVE).sqrt().recip()
-            })
-            .collect();
-        let Candidate { t, weighted, stretch } = &mut candidate;
-        for x in [t, weighted, stretch, &mut stiff] {
-            linalg::for_each_column(x, |j, x| x.iter_mut().for_each(|x| *x *= scale[j]));
+            candidate = Candidate::new(problem, linalg::columns(&candidate.t, &new));
         }
         let [inner_m, mut inner_k] = self.inner_products(&candidate);
+        let Candidate { t, weighted, .. } = candidate;
+        let mut stiff = problem.stitched.multiply(t.as_ref());
+        if problem.sigma != 0.0 {
+            linalg::for_each_column(&mut stiff, |j, stiff| {
+                for (k, m) in stiff.iter_mut().zip(weighted.col_as_slice(j)) {
+                    *k += problem.sigma * m;
+                }
+            });
+        }
         // From K̂_σT itself where it counts: the guard modes are not converged eigenvectors.
         let mut at = 0;
         for part in self.base {
@@ -217,7 +216,6 @@ impl<'a> TrialSpace<'a> {
             inner_k.as_mut().subrows_mut(at, rows.nrows()).copy_from(&rows);
             at += rows.nrows();
         }
-        let Candidate { t, weighted, .. } = candidate;
         let corner_k = linalg::gram(t.as_ref(), stiff.as_ref());
         let corner_m = linalg::gram(t.as_ref(), weighted.as_ref());
         let bordered = |gram: &Mat<f64>, cross: &Mat<f64>, corner: &Mat<f64>| {
@@ -264,32 +262,57 @@ pub fn update(
     }
     let kept = problem.eigenvalues.len();
     let mut round = 0;
+    let mut last: Option<AuditedSpectrum> = None;
+    // Modes to audit: all, then those that the last round did not accept.
+    let mut audited: Vec<usize> = Vec::new();
     loop {
         control::check(control)?;
         control.progress(Stage::Modes, round as f64 / 4.0);
         let (theta, c) = space.ritz()?;
         let available = theta.len().saturating_sub(n_rigid_left).min(kept);
         let wanted = n_modes.min(available);
-        let mut shapes = Mat::zeros(base.nrows(), wanted);
-        space.add_combination(&mut shapes, 1.0, c.subcols(n_rigid_left, wanted));
+        let c = c.subcols(n_rigid_left, wanted).to_owned();
+        let combined = |c: MatRef<'_, f64>| {
+            let mut shapes = Mat::zeros(base.nrows(), c.ncols());
+            space.add_combination(&mut shapes, 1.0, c);
+            shapes
+        };
+        let last_found = last.take().filter(|last| last.eigenvalues.len() == wanted);
+        if last_found.is_none() {
+            audited = (0..wanted).collect();
+        }
         let eigenvalues: Vec<f64> =
-            theta[n_rigid_left..][..wanted].iter().map(|t| t.recip() - sigma).collect();
+            audited.iter().map(|i| theta[n_rigid_left + i].recip() - sigma).collect();
+        let shapes = combined(linalg::columns(&c, &audited).as_ref());
         let product = stitched.multiply(shapes.as_ref());
         let residual = residual_vectors(product, mass, shapes.as_ref(), &eigenvalues);
         // Half of a solve tells the residuals; the other half is for those that are to be refined.
         let half = stitched.forward(residual.as_ref());
-        let residuals = relative_residuals(&half.energies(), &eigenvalues, sigma);
+        let found = relative_residuals(&half.energies(), &eigenvalues, sigma);
+        let mut residuals = last_found.as_ref().map_or(vec![0.0; wanted], |l| l.residuals.clone());
+        audited.iter().zip(found).for_each(|(&i, found)| residuals[i] = found);
         let beyond = theta.get(n_rigid_left + available).copied().unwrap_or(0.0);
         let kept = &theta[n_rigid_left..][..wanted];
-        let spectrum = AuditedSpectrum::of_ritz(kept, beyond, residuals, sigma);
+        let mut spectrum = AuditedSpectrum::of_ritz(kept, beyond, residuals, sigma);
+        if let Some(last) = last_found {
+            for i in (0..wanted).filter(|i| !audited.contains(i)) {
+                spectrum.error_estimates[i] = last.error_estimates[i];
+                spectrum.angle_estimates[i] = last.angle_estimates[i];
+            }
+        }
         round += 1;
         let unaccepted = spectrum.beyond(tolerance);
         if unaccepted.is_empty() || round == MOST_ROUNDS || stops_before(unaccepted.len()) {
+            let shapes = if audited.len() == wanted { shapes } else { combined(c.as_ref()) };
             // The Ritz vectors are orthonormal to about 1e-10 where large rigid parts cancelled.
             let gram = linalg::SmallCholesky::new(mass.gram(shapes.as_ref()).as_ref())?;
             let shapes = linalg::product(shapes.as_ref(), gram.whitening().as_ref());
             return Ok(Updated { shapes, spectrum, n_rounds: round });
         }
-        space.extend(stitched.backward(half.columns(&unaccepted)))?;
+        // Those that were accepted before still are.
+        let refined: Vec<usize> =
+            (0..audited.len()).filter(|&i| unaccepted.contains(&audited[i])).collect();
+        space.extend(stitched.backward(half.columns(&refined)))?;
+        (audited, last) = (unaccepted, Some(spectrum));
     }
 }

@@ -8,7 +8,7 @@ use crate::assembly::FullModel;
 use crate::assembly::sparse::BlockMatrix;
 use crate::dictionary::Combination;
 use crate::edit::{Stitch, sorted};
-use crate::factorization::SparseCholesky;
+use crate::factorization::{ReachedRows, SparseCholesky};
 use crate::linalg::{self, DenseError, SmallCholesky};
 use faer::{Mat, MatRef};
 use rayon::prelude::*;
@@ -90,6 +90,17 @@ impl StitchMatrix {
         a
     }
 
+    /// A by columns: its entries' rows and values.
+    pub fn columns(&self) -> Vec<Vec<(usize, f64)>> {
+        let of_stitch = |(ends, root): (&[Option<usize>; 2], &f64)| {
+            [0, 1, 2].map(|axis| {
+                let entries = ends.iter().zip([*root, -root]);
+                entries.filter_map(|(end, value)| end.map(|v| (3 * v + axis, value))).collect()
+            })
+        };
+        self.ends.iter().zip(&self.root_stiffness).flat_map(of_stitch).collect()
+    }
+
     /// Adds AAᵀ to a matrix whose pattern couples the stitched pairs.
     pub fn add_to(&self, stiffness: &mut BlockMatrix) {
         let pattern = stiffness.pattern().clone();
@@ -108,72 +119,13 @@ impl StitchMatrix {
     }
 }
 
-/// Rows that are looked at together for whether a stitch reaches them.
-const ROWS_AT_A_TIME: usize = 64;
-
-/// L⁻¹A, of which only the rows on the stitches' paths to the root of the elimination tree are not
-/// zero: kept without the others.
-struct HalfSolved {
-    /// Blocks of [`ROWS_AT_A_TIME`] rows, in the order of the factor.
-    blocks: Vec<usize>,
-    /// n'×3s.
-    rows: Mat<f64>,
-}
-
-impl HalfSolved {
-    fn new(factor: &SparseCholesky, mut a: Mat<f64>) -> HalfSolved {
-        factor.forward_in_place(a.as_mut());
-        let is_reached = |block: &usize| {
-            let rows = block * ROWS_AT_A_TIME..((block + 1) * ROWS_AT_A_TIME).min(a.nrows());
-            (0..a.ncols()).any(|j| a.col_as_slice(j)[rows.clone()].iter().any(|x| *x != 0.0))
-        };
-        let blocks: Vec<usize> =
-            (0..a.nrows().div_ceil(ROWS_AT_A_TIME)).into_par_iter().filter(is_reached).collect();
-        let mut half = HalfSolved { blocks, rows: Mat::zeros(0, 0) };
-        half.rows = half.gathered(a.as_ref());
-        half
-    }
-
-    /// The rows of X that are kept.
-    fn gathered(&self, x: MatRef<'_, f64>) -> Mat<f64> {
-        let rows =
-            |block: &usize| block * ROWS_AT_A_TIME..((block + 1) * ROWS_AT_A_TIME).min(x.nrows());
-        let count = self.blocks.iter().map(|block| rows(block).len()).sum();
-        let mut some = Mat::zeros(count, x.ncols());
-        linalg::for_each_column(&mut some, |j, some| {
-            let column = x.col(j);
-            let all = self.blocks.iter().flat_map(rows);
-            some.iter_mut().zip(all).for_each(|(some, row)| *some = column[row]);
-        });
-        some
-    }
-
-    /// `(L⁻¹A)ᵀX`.
-    fn transpose_times(&self, x: MatRef<'_, f64>) -> Mat<f64> {
-        linalg::gram(self.rows.as_ref(), self.gathered(x).as_ref())
-    }
-
-    /// `X += alpha·L⁻¹A·Z`.
-    fn add_times(&self, x: &mut Mat<f64>, alpha: f64, z: MatRef<'_, f64>) {
-        let n = x.nrows();
-        let mut product = Mat::zeros(self.rows.nrows(), z.ncols());
-        linalg::add_product(product.as_mut(), alpha, self.rows.as_ref(), z);
-        linalg::for_each_column(x, |j, x| {
-            let rows =
-                |block: &usize| block * ROWS_AT_A_TIME..((block + 1) * ROWS_AT_A_TIME).min(n);
-            let all = self.blocks.iter().flat_map(rows);
-            product.col_as_slice(j).iter().zip(all).for_each(|(p, row)| x[row] += p);
-        });
-    }
-}
-
 /// K̂ and K̂_σ⁻¹ of a stitched body.
 pub struct StitchedStiffness<'a> {
     stiffness: &'a BlockMatrix,
     factor: &'a SparseCholesky,
     a: StitchMatrix,
     /// L⁻¹A.
-    half: HalfSolved,
+    half: ReachedRows,
     /// I + C, factorized.
     capacitance: SmallCholesky,
 }
@@ -187,8 +139,8 @@ impl<'a> StitchedStiffness<'a> {
         stitches: &[Stitch],
     ) -> Result<StitchedStiffness<'a>, DenseError> {
         let a = StitchMatrix::new(model, stitches);
-        let half = HalfSolved::new(factor, a.dense(model.n()));
-        let mut sum = linalg::gram(half.rows.as_ref(), half.rows.as_ref());
+        let half = factor.forward_sparse(&a.columns());
+        let mut sum = half.gram();
         (0..sum.nrows()).for_each(|i| sum[(i, i)] += 1.0);
         let capacitance = SmallCholesky::new(sum.as_ref())?;
         Ok(StitchedStiffness { stiffness, factor, a, half, capacitance })

@@ -140,7 +140,8 @@ fn it_falls_and_is_carried_by_its_centre_of_mass() {
     let mut params = *simulation(&body, 1e-3).params();
     params.gravity_m_s2 = [0.0, -9.81, 0.0];
     let mut simulation = Simulation::new(body.model().clone(), params).unwrap();
-    let tip: VertexRows = body.vertex_rows(*body.full_model().free_vertices().last().unwrap());
+    let tip: VertexRows =
+        body.vertex_rows(*body.full_model().free_vertices().iter().max().unwrap());
     let masses = body.lumped_mass_kg();
     let total: f64 = masses.iter().sum();
     let center = |simulation: &Simulation| {

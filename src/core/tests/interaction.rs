@@ -52,7 +52,7 @@ fn floor(height_m: f64, friction: f64) -> Arc<Environment> {
 }
 
 fn tip(body: &Artifacts) -> u32 {
-    body.full_model().free_vertices().last().copied().unwrap()
+    body.full_model().free_vertices().iter().copied().max().unwrap()
 }
 
 fn run(simulation: &mut Simulation, n_steps: usize) -> Vec<StepReport> {

@@ -166,7 +166,7 @@ fn assert_full_model_agrees(peer: &Peer) {
     peer.assert_agrees("ref_f_u_norm", norm(&f), None);
     peer.assert_agrees("ref_f_u_dot_v", dot(&f, &v), None);
     peer.assert_agrees("ref_f_u_dot_w", dot(&f, &w), None);
-    peer.assert_begins("ref_f_u_first12", &f);
+    peer.assert_begins("ref_f_u_first12", &model.expand(&f));
 
     let times = |u: &[f64], x: &[f64]| {
         model.tangent_stiffness(u, &pattern).multiply(column(x)).col_as_slice(0).to_vec()
@@ -188,7 +188,7 @@ fn assert_full_model_agrees(peer: &Peer) {
     peer.assert_agrees("ref_H_vw_dot_u", dot(&h, &u), None);
     // Zero but for rounding.
     peer.assert_agrees("ref_H_vw_dot_v", dot(&h, &v), Some(norm(&h) * norm(&v)));
-    peer.assert_begins("ref_H_vw_first12", &h);
+    peer.assert_begins("ref_H_vw_first12", &model.expand(&h));
 }
 
 #[test]
