@@ -427,6 +427,16 @@ impl EditState {
         Ok((new, ids))
     }
 
+    /// The same body with a stitch on each of `pairs` that has none.
+    pub fn closed(&self, pairs: &[[u32; 2]], stiffness_n_m: f64) -> Result<EditState, EditError> {
+        let stitched: BTreeSet<[u32; 2]> = self.stitches.iter().map(|s| sorted(s.pair)).collect();
+        let open: Vec<[u32; 2]> =
+            pairs.iter().copied().filter(|pair| !stitched.contains(&sorted(*pair))).collect();
+        let mut closed = self.clone();
+        closed.stitch(0, EditKind::Stitch, &open, stiffness_n_m)?;
+        Ok(closed)
+    }
+
     /// Checks that `pairs` could be stitched to each other as they are.
     pub fn check_pairs(&self, pairs: &[[u32; 2]]) -> Result<(), EditError> {
         self.clone().stitch(0, EditKind::Stitch, pairs, 1.0).map(|_| ())

@@ -29,7 +29,7 @@ use std::time::Duration;
 pub enum CubatureSource {
     /// Chosen and fitted for this basis.
     Trained,
-    /// Points and weights of the previous generation.
+    /// Points and weights of the previous generation, or those trained for the closed seam.
     Reused,
     /// Points of the previous generation, weights fitted anew, and smoothing where there is any.
     Refitted,
@@ -80,6 +80,17 @@ pub(super) struct SeamCache {
     seams: RwLock<Option<Arc<Seams>>>,
     /// Modal derivatives (n×p) of the base body, as long as they serve nothing but load cases that nobody has needed yet.
     derivatives: Mutex<Option<Arc<Mat<f64>>>>,
+    closed_rule: Mutex<Option<ClosedRule>>,
+}
+
+/// The cubature rule of the body with all pairs of its seams closed: what edits may reuse beside that of the generation
+/// before them.
+#[derive(Clone)]
+pub(super) struct ClosedRule {
+    /// Pairs that were closed.
+    pub(super) n_pairs: usize,
+    pub(super) rule: Rule,
+    pub(super) trained_error: f64,
 }
 
 impl Prepared {
@@ -111,6 +122,11 @@ impl Prepared {
     /// Its modal derivatives (n×p), from the build until there are load cases.
     pub(super) fn derivatives(&self) -> MutexGuard<'_, Option<Arc<Mat<f64>>>> {
         self.seams.derivatives.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The rule that was trained for the closed seams, if one was.
+    pub(super) fn closed_rule(&self) -> MutexGuard<'_, Option<ClosedRule>> {
+        self.seams.closed_rule.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The scale of the body's softest deformation, in 1/s².

@@ -76,8 +76,8 @@ pub(super) struct Draft {
     pub(super) span: Span,
     /// Worst relative residual of the derivatives.
     pub(super) derivative_residual: f64,
-    /// The cubature rule to reuse, and its validation error when it was trained.
-    pub(super) reuse: Option<(Rule, f64)>,
+    /// Cubature rules to reuse, that in use first, and their validation errors when they were trained.
+    pub(super) reuse: Vec<(Rule, f64)>,
     pub(super) warnings: Vec<String>,
 }
 
@@ -105,16 +105,17 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
 
     let stitch_stiffness = stitch_stiffness(&prepared, &subspace);
     let basis = &subspace.basis;
-    let (rule, cubature, trained_error) = match &params.cubature {
+    let (Fitted { rule, trained_error, begun_from }, cubature) = match &params.cubature {
         None => {
             // As with a rule: whether rows come from these columns or from what they are combined of shows
             // in their last bits.
             subspace.basis.dense();
-            (Rule::exact(prepared.model.corners().len()), None, 0.0)
+            let rule = Rule::exact(prepared.model.corners().len());
+            (Fitted { rule, trained_error: 0.0, begun_from: None }, None)
         }
         Some(cubature) => {
             let fit = Fit::new(&prepared, &subspace, &stitch_stiffness, &weighing, cubature)?;
-            let (rule, report, trained_error) = fit.rule(draft.reuse, &mut clock)?;
+            let (fitted, report) = fit.rule(draft.reuse, &mut clock)?;
             if report.validation_error > cubature.tolerance {
                 warnings.push(format!(
                     "the cubature's relative force error is {:.1e}, above the tolerance of {:.1e}: \
@@ -122,7 +123,7 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
                     report.validation_error, cubature.tolerance
                 ));
             }
-            (rule, Some(report), trained_error)
+            (fitted, Some(report))
         }
     };
     clock.finish(Stage::Cubature)?;
@@ -141,7 +142,7 @@ pub(super) fn finish(draft: Draft, mut clock: StageClock<'_>) -> Result<Artifact
     );
     clock.finish(Stage::Reduction)?;
     Ok(Artifacts {
-        origin: Origin::built(clock.skipped),
+        origin: Origin { reuse: begun_from, ..Origin::built(clock.skipped) },
         closings: Vec::new(),
         earlier: Vec::new(),
         n_rigid_modes: draft.n_rigid_modes,
@@ -220,6 +221,15 @@ fn n_smoothing_poses(n_training_poses: usize) -> usize {
 
 fn n_validation(n_training_poses: usize) -> usize {
     ((VALIDATION_SHARE * n_training_poses as f64) as usize).max(LEAST_VALIDATION_POSES)
+}
+
+/// A cubature rule.
+struct Fitted {
+    rule: Rule,
+    /// Its validation error when it was trained.
+    trained_error: f64,
+    /// That of the rules to reuse which it began from.
+    begun_from: Option<(Rule, f64)>,
 }
 
 /// Everything a cubature rule is fitted to.
@@ -320,16 +330,16 @@ impl<'a> Fit<'a> {
         Samples::new(&self.prepared.model, self.basis, &self.norm, poses, control)
     }
 
-    /// The rule in use from now on, with its validation error when it was trained. `reuse` is kept while its error on
-    /// held-out poses is acceptable and it finds equilibria; else it is fitted anew, smoothing and weights or weights
-    /// alone, and replaced where that does not serve.
+    /// The rule in use from now on. Of those in `reuse` the first that is as good on held-out poses as it was when it was
+    /// trained is kept, or else the one that errs least while its error is acceptable and it finds equilibria; it is fitted
+    /// anew, smoothing and weights or weights alone, and replaced where that does not serve.
     ///
     /// Weights alone make a smoothed rule hardly better: 8.4 and 8.2 % after an edit of the stomach.
     fn rule(
         &self,
-        reuse: Option<(Rule, f64)>,
+        reuse: Vec<(Rule, f64)>,
         clock: &mut StageClock<'_>,
-    ) -> Result<(Rule, CubatureReport, f64), BuildError> {
+    ) -> Result<(Fitted, CubatureReport), BuildError> {
         let control = clock.control;
         let CubatureParams { n_points, n_training_poses, tolerance, seed, selection, smoothing } =
             *self.params;
@@ -347,9 +357,10 @@ impl<'a> Fit<'a> {
         // What is to be smoothed anew, and the error up to which that serves.
         let mut worse = None;
         let mut source = CubatureSource::Trained;
-        if let Some((old, trained_error)) = reuse {
+        let mut begun_from = None;
+        if let Some((old, reused, trained_error)) = least_wrong(reuse, &report) {
             source = CubatureSource::Retrained;
-            let reused = report(&old, CubatureSource::Reused);
+            begun_from = Some((old.clone(), trained_error));
             let as_good = REUSING_FACTOR * trained_error;
             let acceptable = tolerance.max(RETRAINING_FACTOR * trained_error);
             // What follows takes the forces of so many more poses, and about as long again to solve or to fit.
@@ -367,7 +378,7 @@ impl<'a> Fit<'a> {
                 || is_within && (skips(N_LOADS) || self.is_balanced(&old))
                 || skips(n_poses)
             {
-                return Ok((old, reused, trained_error));
+                return Ok((Fitted { rule: old, trained_error, begun_from }, reused));
             }
             if smoothing {
                 worse = Some((old, tolerance.max(as_good)));
@@ -378,7 +389,7 @@ impl<'a> Fit<'a> {
                 if is_acceptable && (skips(N_LOADS) || self.is_balanced(&rule))
                     || skips(n_training_poses)
                 {
-                    return Ok((rule, best, trained_error));
+                    return Ok((Fitted { rule, trained_error, begun_from }, best));
                 }
             }
         }
@@ -394,7 +405,8 @@ impl<'a> Fit<'a> {
             let rule = smoothed(cubature::refit(&training, &old, control)?, &|_| true)?;
             let refitted = report(&rule, CubatureSource::Refitted);
             if refitted.validation_error <= enough && self.is_balanced(&rule) {
-                return Ok((rule, refitted, refitted.validation_error));
+                let trained_error = refitted.validation_error;
+                return Ok((Fitted { rule, trained_error, begun_from }, refitted));
             }
         }
         let wanted = Training { selection, n_points, tolerance, seed };
@@ -404,7 +416,7 @@ impl<'a> Fit<'a> {
         }
         let report = report(&rule, source);
         let trained_error = report.validation_error;
-        Ok((rule, report, trained_error))
+        Ok((Fitted { rule, trained_error, begun_from }, report))
     }
 
     /// `old` with its weights fitted to half of `poses`, and where that lowers the error that `report` finds to all of
@@ -437,6 +449,27 @@ impl<'a> Fit<'a> {
     fn is_balanced(&self, rule: &Rule) -> bool {
         self.unbalanced(rule) <= MOST_UNBALANCED
     }
+}
+
+/// The first of `rules` that is as good as it was, or else the one of the smallest error, with what is reported of it and
+/// its error when it was trained.
+fn least_wrong(
+    rules: Vec<(Rule, f64)>,
+    report: &dyn Fn(&Rule, CubatureSource) -> CubatureReport,
+) -> Option<(Rule, CubatureReport, f64)> {
+    let mut least: Option<(Rule, CubatureReport, f64)> = None;
+    for (rule, trained_error) in rules {
+        let found = report(&rule, CubatureSource::Reused);
+        let error = |report: &CubatureReport| report.validation_error;
+        let is_as_good = error(&found) <= REUSING_FACTOR * trained_error;
+        if is_as_good || least.as_ref().is_none_or(|(_, least, _)| error(&found) < error(least)) {
+            least = Some((rule, found, trained_error));
+        }
+        if is_as_good {
+            break;
+        }
+    }
+    least
 }
 
 #[cfg(test)]
@@ -482,8 +515,8 @@ mod tests {
         let n_tets = prepared.model.corners().len();
         let all = fit.unbalanced(&Rule::exact(n_tets));
         assert!(all < 1e-6, "{all:e}");
-        let (trained, _, _) = fit.rule(None, &mut clock).unwrap();
-        let left = fit.unbalanced(&trained);
+        let (trained, _) = fit.rule(Vec::new(), &mut clock).unwrap();
+        let left = fit.unbalanced(&trained.rule);
         assert!(left < MOST_UNBALANCED, "{left}");
         // Half of the body has no points.
         let half = n_tets as u32 / 2;

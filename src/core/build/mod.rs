@@ -171,7 +171,7 @@ fn first_draft(
         spectrum,
         verdict: Verdict::Rebuilt,
         tolerance: None,
-        reuse: None,
+        reuse: Vec::new(),
         warnings,
         prepared,
     })
@@ -263,10 +263,17 @@ fn update_base(
         method: Some(method),
         derivatives,
         tolerance,
-        reuse: reuse.clone(),
+        reuse: None,
         seams: seams.clone().unwrap_or_else(there),
         skipped: Vec::new(),
     };
+    let mut rules: Vec<(Rule, f64)> = reuse.into_iter().collect();
+    // A generation that is made again reuses what it did then.
+    if let Some(closed) =
+        base.closed_rule().clone().filter(|_| seams.is_none() && !rules.is_empty())
+    {
+        rules.push((closed.rule, closed.trained_error));
+    }
     let draft = match method {
         Method::FromScratch => from_scratch(base, state, &mut clock)?,
         Method::Flexibility => {
@@ -276,12 +283,12 @@ fn update_base(
             };
             origin.seams = seams.as_ref().map(|seams| seams.recipe().clone()).unwrap_or_default();
             let wanted = update::Wanted { tolerance, derivatives };
-            update::by_flexibility(base, state, reuse, seams, wanted, &mut clock)?
+            update::by_flexibility(base, state, rules, seams, wanted, &mut clock)?
         }
-        Method::LowRank => update::by_low_rank(base, state, reuse, &mut clock)?,
+        Method::LowRank => update::by_low_rank(base, state, rules, &mut clock)?,
     };
     let mut made = finish(draft, clock)?;
-    made.origin = Origin { skipped: made.origin.skipped, ..origin };
+    made.origin = Origin { skipped: made.origin.skipped, reuse: made.origin.reuse, ..origin };
     // Time enough is what is assumed where nothing is said.
     while made.origin.skipped.last() == Some(&false) {
         made.origin.skipped.pop();
@@ -335,7 +342,7 @@ fn from_scratch(
         span: Span::Dense { modes: shapes, derivatives: set },
         verdict: Verdict::Rebuilt,
         tolerance: None,
-        reuse: None,
+        reuse: Vec::new(),
         warnings: Vec::new(),
         prepared: prepared.clone(),
     })

@@ -24,7 +24,8 @@ pub struct Recipe {
     pub derivatives: Derivatives,
     /// Relative eigenvalue error asked for.
     pub tolerance: f64,
-    /// The cubature rule of the generation before, and its validation error when it was trained.
+    /// The cubature rule that it began from, and its validation error when it was trained: that of the generation before,
+    /// or of the closed seams.
     pub reuse: Option<(Rule, f64)>,
     /// The seams that there were when it was made.
     pub seams: Arc<SeamRecipe>,

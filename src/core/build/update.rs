@@ -43,11 +43,11 @@ pub(super) struct Wanted {
     pub(super) derivatives: Derivatives,
 }
 
-/// Everything up to the derivatives. `reuse` is the cubature rule in use, `seams` are what is prepared, if anything is.
+/// Everything up to the derivatives. `reuse` are cubature rules, that in use first, `seams` are what is prepared, if anything is.
 pub(super) fn by_flexibility(
     prepared: Arc<Prepared>,
     state: EditState,
-    reuse: Option<(Rule, f64)>,
+    reuse: Vec<(Rule, f64)>,
     seams: Option<Arc<Seams>>,
     wanted: Wanted,
     clock: &mut StageClock<'_>,
@@ -97,7 +97,7 @@ pub(super) fn by_flexibility(
 pub(super) fn by_low_rank(
     prepared: Arc<Prepared>,
     state: EditState,
-    reuse: Option<(Rule, f64)>,
+    reuse: Vec<(Rule, f64)>,
     clock: &mut StageClock<'_>,
 ) -> Result<Draft, BuildError> {
     refined(prepared, state, reuse, None, clock)
@@ -197,7 +197,7 @@ fn in_seams(
 fn refined(
     prepared: Arc<Prepared>,
     state: EditState,
-    reuse: Option<(Rule, f64)>,
+    reuse: Vec<(Rule, f64)>,
     tolerance: Option<f64>,
     clock: &mut StageClock<'_>,
 ) -> Result<Draft, BuildError> {

@@ -40,7 +40,7 @@ const TOLERANCE: f64 = 5e-9;
 
 /// The same for the guard modes. Updates take all modes for exact invariants of the unstitched body
 /// (`modes::seams`): what guards leave of that shows in the orthonormality of updated modes.
-const GUARD_TOLERANCE: f64 = 1e-6;
+const GUARD_TOLERANCE: f64 = 3e-7;
 
 /// A Lanczos vector shorter than this fraction of the largest eigenvalue is rounding noise.
 const BREAKDOWN: f64 = 1e-13;

@@ -1,10 +1,11 @@
 //! Edits inside seams: no solve, and the same body.
 
 use crate::bodies::{STITCH_N_M, bar, by, params, spectrum_error, stitch};
+use crate::recipes::trained_bar;
 use faer::Mat;
 use std::time::{Duration, Instant};
 use sutura_core::build::{
-    self, Artifacts, BuildParams, Derivatives, Method, RebuildParams, Verdict,
+    self, Artifacts, BuildParams, CubatureSource, Derivatives, Method, RebuildParams, Verdict,
 };
 use sutura_core::control::{Control, Stage, Uncontrolled};
 use sutura_core::edit::Edit;
@@ -359,4 +360,30 @@ fn a_body_without_derivatives_has_seams_too() {
     let undone = next(&updated, &[Edit::UnstitchAll], Method::Flexibility);
     let error = spectrum_error(undone.eigenvalues_per_s2(), open.eigenvalues_per_s2());
     assert!(error < 1e-10, "{error:e}");
+}
+
+#[test]
+fn a_seam_has_the_cubature_rule_of_the_closed_body() {
+    let (bar, params) = trained_bar();
+    let open = build::build(bar.mesh.clone(), &params, &Uncontrolled).unwrap();
+    let seamed = prepared(&bar, &params);
+    let edit = stitch(&bar.pairs, STITCH_N_M);
+    let report = |body: &Artifacts| *body.cubature().unwrap();
+    // The rule of the open body does not serve, nor its points.
+    let without = next(&open, &edit, Method::Flexibility);
+    assert_ne!(report(&without).source, CubatureSource::Reused);
+    let with = next(&seamed, &edit, Method::Flexibility);
+    assert_eq!(report(&with).source, CubatureSource::Reused);
+    let (rule, trained_error) = with.recipe().reuse.unwrap();
+    assert!(report(&with).validation_error <= 1.25 * trained_error);
+    // It is part of what the generation is made of.
+    let again = build::remake(&params, &with.recipe(), &[], &Uncontrolled).unwrap();
+    assert_eq!(again.cubature(), with.cubature());
+    assert_eq!(again.recipe(), with.recipe());
+
+    // As it is opened, the body keeps its own.
+    let untouched = next(&seamed, &[], Method::Flexibility);
+    let (kept, _) = untouched.recipe().reuse.unwrap();
+    assert_eq!(report(&untouched).source, CubatureSource::Reused);
+    assert_ne!(kept, rule);
 }
