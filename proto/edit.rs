@@ -340,7 +340,7 @@ pub struct CubatureInfo {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CubatureSource {
-    /// Points and weights of the previous generation.
+    /// Points and weights of the previous generation, or those trained for its seams with all pairs closed.
     Reused,
     /// Points of the previous generation, weights fitted anew, and smoothing where there is any.
     Refitted,

@@ -12,7 +12,6 @@ use crate::linalg;
 use crate::modes::LinearModes;
 use crate::modes::stitched::StitchedStiffness;
 use faer::{Mat, MatRef};
-use rayon::prelude::*;
 
 /// Relative residual to which derivatives are solved where a direct solve is not exact. They only
 /// enter the span of a basis; the correction on the known modes alone reaches σ/λ_{r+1}, mostly
@@ -70,7 +69,7 @@ impl Solver<'_> {
         let k = b.ncols();
         let balanced = (self.rigid.ncols() > 0).then(|| self.balance(b.to_owned()));
         let rhs = balanced.as_ref().map_or(b, |balanced| balanced.as_ref());
-        let norms = column_norms(rhs);
+        let norms = linalg::column_norms(rhs);
         // Balancing changes K̂_σ⁻¹B by a rigid motion only, which is removed.
         let mut x = self.correct(rhs, y);
         self.remove_rigid(&mut x);
@@ -148,12 +147,8 @@ fn column_products(x: &Mat<f64>, y: &Mat<f64>) -> Vec<f64> {
     (0..x.ncols()).map(|j| x.col(j).transpose() * y.col(j)).collect()
 }
 
-fn column_norms(x: MatRef<'_, f64>) -> Vec<f64> {
-    (0..x.ncols()).into_par_iter().map(|j| x.col(j).norm_l2()).collect()
-}
-
 fn worst_ratio(r: MatRef<'_, f64>, norms: &[f64]) -> f64 {
-    let ratios = column_norms(r).into_iter().zip(norms);
+    let ratios = linalg::column_norms(r).into_iter().zip(norms);
     ratios.map(|(r, b)| if *b > 0.0 { r / b } else { 0.0 }).fold(0.0, f64::max)
 }
 

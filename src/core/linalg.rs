@@ -193,7 +193,7 @@ pub fn columns(a: &Mat<f64>, chosen: &[usize]) -> Mat<f64> {
 }
 
 /// Euclidean lengths of the columns.
-pub fn column_norms(a: &Mat<f64>) -> Vec<f64> {
+pub fn column_norms(a: MatRef<'_, f64>) -> Vec<f64> {
     (0..a.ncols()).into_par_iter().map(|j| (a.col(j).transpose() * a.col(j)).sqrt()).collect()
 }
 

@@ -67,18 +67,23 @@ fn train_closed(body: &Artifacts, seams: &Seams, control: &dyn Control) -> Resul
         return Ok(());
     }
     let pairs: Vec<[u32; 2]> = seams.pairs().collect();
-    let plan = Plan {
-        method: Method::Flexibility,
-        derivatives: Derivatives::Prepared,
-        tolerance: CLOSED_MODES_TOLERANCE,
-        reuse: None,
-        seams: Some(seams.recipe().clone()),
-        closings: Vec::new(),
-    };
     let state = body.state.closed(&pairs, seams.recipe().closing_stiffness_n_m)?;
-    let clock = StageClock::start(control);
-    let closed = update_base(prepared.clone(), Vec::new(), state, plan, clock)?;
-    let Artifacts { rule, trained_error, .. } = closed;
+    let is_closed = state.stitches().len() == body.state.stitches().len();
+    let (rule, trained_error) = if is_closed {
+        (body.rule.clone(), body.trained_error)
+    } else {
+        let plan = Plan {
+            method: Method::Flexibility,
+            derivatives: Derivatives::Prepared,
+            tolerance: CLOSED_MODES_TOLERANCE,
+            reuse: None,
+            seams: Some(seams.recipe().clone()),
+            closings: Vec::new(),
+        };
+        let clock = StageClock::start(control);
+        let closed = update_base(prepared.clone(), Vec::new(), state, plan, clock)?;
+        (closed.rule, closed.trained_error)
+    };
     *prepared.closed_rule() = Some(ClosedRule { n_pairs: pairs.len(), rule, trained_error });
     Ok(())
 }

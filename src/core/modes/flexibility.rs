@@ -178,7 +178,7 @@ impl<'a> TrialSpace<'a> {
     /// (seen: the fork breaks down at tolerance 1e-8).
     fn extend(&mut self, t: Mat<f64>) -> Result<(), DenseError> {
         let problem = self.problem;
-        let before = linalg::column_norms(&t);
+        let before = linalg::column_norms(t.as_ref());
         let b = linalg::orthonormal_coefficients(self.gram_k.as_ref(), DEPENDENT)?;
         let mut candidate = Candidate::new(problem, t);
         let mut after = before.clone();
@@ -188,7 +188,7 @@ impl<'a> TrialSpace<'a> {
             let onto = linalg::small_product(b.as_ref(), inner.as_ref());
             self.add_combination(&mut candidate.t, -1.0, onto.as_ref());
             candidate.renew(problem);
-            let last = std::mem::replace(&mut after, linalg::column_norms(&candidate.t));
+            let last = std::mem::replace(&mut after, linalg::column_norms(candidate.t.as_ref()));
             // Where little is left, rounding has left something of the space: project again.
             if after.iter().zip(&last).all(|(after, last)| *after > 1e-2 * last) {
                 break;
