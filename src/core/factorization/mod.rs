@@ -219,6 +219,32 @@ mod tests {
     }
 
     #[test]
+    fn half_solves_of_few_entries_are_those_of_whole_columns() {
+        let a = grid(9);
+        let n = a.n();
+        let factor = SparseCholesky::of_blocks(&a).unwrap();
+        for k in [3, 40] {
+            let entries = |j: usize| vec![(37 * j % n, 1.0), ((37 * j + 5) % n, -0.5)];
+            let columns: Vec<Vec<(usize, f64)>> = (0..k).map(entries).collect();
+            let half = factor.forward_sparse(&columns);
+            let mut dense = Mat::zeros(n, k);
+            for (j, entries) in columns.iter().enumerate() {
+                entries.iter().for_each(|&(row, value)| dense[(row, j)] = value);
+            }
+            factor.forward_in_place(dense.as_mut());
+            let close = |found: Mat<f64>, exact: Mat<f64>| (found - exact).norm_max() < 1e-14;
+            assert!(close(half.gram(), dense.transpose() * &dense), "{k}");
+            let x = Mat::from_fn(n, 2, |i, j| ((3 * i + j) as f64).cos());
+            assert!(close(half.transpose_times(x.as_ref()), dense.transpose() * &x), "{k}");
+            let z = Mat::from_fn(k, 2, |i, j| ((i + 7 * j) as f64).sin());
+            let mut sum = x.clone();
+            half.add_times(&mut sum, 2.0, z.as_ref());
+            assert!(close(sum, x + faer::Scale(2.0) * &dense * &z), "{k}");
+        }
+        assert!(factor.forward_sparse(&[vec![(0, 1.0)]]).n_rows() < n / 2);
+    }
+
+    #[test]
     fn an_analysis_serves_other_values() {
         let mut a = grid(6);
         let first = SparseCholesky::of_blocks(&a).unwrap();

@@ -24,6 +24,11 @@ impl SparseCholesky {
 }
 
 impl ReachedRows {
+    /// Rows that are kept.
+    pub fn n_rows(&self) -> usize {
+        self.rows.len()
+    }
+
     /// `(L⁻¹A)ᵀL⁻¹A`, which is AᵀK⁻¹A for K = LLᵀ.
     pub fn gram(&self) -> Mat<f64> {
         linalg::gram(self.values.as_ref(), self.values.as_ref())
