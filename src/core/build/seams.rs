@@ -63,13 +63,16 @@ fn train_closed(body: &Artifacts, seams: &Seams, control: &dyn Control) -> Resul
     let prepared = &body.prepared;
     let is_there =
         prepared.closed_rule().as_ref().is_some_and(|rule| 2 * rule.n_pairs >= seams.len());
-    if prepared.params.cubature.is_none() || seams.is_empty() || is_there {
+    let Some(cubature) = prepared.params.cubature.filter(|_| !seams.is_empty() && !is_there) else {
         return Ok(());
-    }
+    };
     let pairs: Vec<[u32; 2]> = seams.pairs().collect();
     let state = body.state.closed(&pairs, seams.recipe().closing_stiffness_n_m)?;
     let is_closed = state.stitches().len() == body.state.stitches().len();
-    let (rule, trained_error) = if is_closed {
+    // Not every way of closing it makes a basis whose rule serves others.
+    let serves = body.origin.method == Some(Method::Flexibility)
+        && body.cubature.is_some_and(|own| own.validation_error <= cubature.tolerance);
+    let (rule, trained_error) = if is_closed && serves {
         (body.rule.clone(), body.trained_error)
     } else {
         let plan = Plan {

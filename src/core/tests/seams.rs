@@ -381,6 +381,14 @@ fn a_seam_has_the_cubature_rule_of_the_closed_body() {
     assert_eq!(again.cubature(), with.cubature());
     assert_eq!(again.recipe(), with.recipe());
 
+    // Nor is the rule of another method's basis taken for it.
+    let spiky = next(&open, &edit, Method::LowRank);
+    build::prepare_seams(&spiky, &bar.pairs, &Uncontrolled).unwrap();
+    let after = next(&open, &edit, Method::Flexibility);
+    assert_eq!(report(&after).source, CubatureSource::Reused);
+    let largest = 1.25 * trained_error.max(0.05);
+    assert!(report(&after).validation_error < largest, "{:?}", report(&after));
+
     // As it is opened, the body keeps its own.
     let untouched = next(&seamed, &[], Method::Flexibility);
     let (kept, _) = untouched.recipe().reuse.unwrap();
