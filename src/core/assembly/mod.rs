@@ -169,7 +169,8 @@ impl FullModel {
         all
     }
 
-    /// What a vector over all vertices has at the free degrees of freedom.
+    /// What a vector over all vertices (3·n_vertices) has at the free degrees of freedom, in their order: undoes
+    /// [`FullModel::expand`].
     pub fn restrict(&self, all: &[f64]) -> Vec<f64> {
         self.free_vertices.iter().flat_map(|&v| &all[3 * v as usize..][..3]).copied().collect()
     }

@@ -80,6 +80,7 @@ pub(super) struct SeamCache {
     seams: RwLock<Option<Arc<Seams>>>,
     /// Modal derivatives (n×p) of the base body, as long as they serve nothing but load cases that nobody has needed yet.
     derivatives: Mutex<Option<Arc<Mat<f64>>>>,
+    /// What comes last of a seam.
     closed_rule: Mutex<Option<ClosedRule>>,
 }
 
@@ -90,6 +91,7 @@ pub(super) struct ClosedRule {
     /// Pairs that were closed.
     pub(super) n_pairs: usize,
     pub(super) rule: Rule,
+    /// Its validation error when it was trained.
     pub(super) trained_error: f64,
 }
 
@@ -255,7 +257,7 @@ impl Artifacts {
     /// For each mode its relative residual in the norm of the flexibility
     /// ([`crate::modes::relative_residuals`]), or the larger one that the eigensolver knows
     /// ([`crate::modes::lanczos::AuditedModes::residuals`]): its eigenvalue is wrong by about the
-    /// square of it.
+    /// square of it. Of a mode that was within the tolerance before others were refined it is from then.
     pub fn residuals(&self) -> &[f64] {
         &self.spectrum.residuals
     }
