@@ -22,6 +22,9 @@ const TARGETS: (f64, f64, f64) = (1e-4, 1e-2, 1.1);
 /// Residual (a bound on the relative eigenvalue error) below which modes from scratch are a truth.
 const EXACT: f64 = 1e-6;
 
+/// Ritz values are upper bounds but for rounding and what the guard modes leave (measured: 1e-9).
+const BELOW: f64 = 1e-7;
+
 /// Leading columns of the basis from scratch whose angles are told, beside all.
 pub(crate) const LEADING: [usize; 2] = [10, 30];
 
@@ -208,7 +211,7 @@ impl Truth<'_> {
         let excess: Vec<f64> = pairs.map(|(found, exact)| found / exact - 1.0).collect();
         if way.is_by_flexibility() {
             let below = excess.iter().map(|e| -e).fold(0.0, f64::max);
-            checks.push(Check::at_most("Ritz values below the exact eigenvalues", below, EXACT));
+            checks.push(Check::at_most("Ritz values below the exact eigenvalues", below, BELOW));
         }
         let half = excess.len().div_ceil(2);
         let mut basis = made.basis().to_owned();
