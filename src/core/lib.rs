@@ -17,6 +17,7 @@ pub mod derivatives;
 pub mod dictionary;
 pub mod edit;
 pub mod factorization;
+pub mod lanes;
 pub mod linalg;
 pub use sutura_reduced::material;
 pub mod mesh;

@@ -1,11 +1,16 @@
 //! Mass matrices.
 
 use super::sparse::ScalarMatrix;
+use crate::lanes::{self, LaneBlock};
 use crate::linalg;
 use faer::{Mat, MatRef};
+use rayon::prelude::*;
 
 /// Columns of a Gram matrix that are made at a time.
 const COLUMNS_AT_A_TIME: usize = 32;
+
+/// Vertices whose rows one task weighs.
+const VERTICES_PER_TASK: usize = 512;
 
 /// How mass is distributed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,6 +49,45 @@ impl Mass {
                 }
             }),
             Mass::Consistent(matrix) => matrix.multiply_into(y.as_mut(), x),
+        }
+    }
+
+    /// The same with vertex `order[i]` in place of vertex `i`, `position` being the inverse of `order`.
+    pub fn permuted(&self, order: &[usize], position: &[u32]) -> Mass {
+        match self {
+            Mass::Lumped(masses) => Mass::Lumped(order.iter().map(|&v| masses[v]).collect()),
+            Mass::Consistent(matrix) => Mass::Consistent(matrix.permuted(order, position)),
+        }
+    }
+
+    /// `Y ← M·X` of eight vectors.
+    pub fn multiply_lanes(&self, y: &mut LaneBlock, x: &LaneBlock) {
+        assert_eq!(y.n(), x.n());
+        match self {
+            Mass::Lumped(masses) => {
+                let y = y.rows_mut().par_chunks_mut(3 * VERTICES_PER_TASK);
+                let x = x.rows().par_chunks(3 * VERTICES_PER_TASK);
+                y.zip(x).zip(masses.par_chunks(VERTICES_PER_TASK)).for_each(|((y, x), masses)| {
+                    let rows = y.chunks_exact_mut(3).zip(x.chunks_exact(3)).zip(masses);
+                    for ((y, x), m) in rows {
+                        let numbers = y.as_flattened_mut().iter_mut().zip(x.as_flattened());
+                        numbers.for_each(|(y, x)| *y = m * x);
+                    }
+                });
+            }
+            Mass::Consistent(matrix) => matrix.multiply_lanes(y, x),
+        }
+    }
+
+    /// `XᵀMY` (8·blocks × 8).
+    pub fn inner_lanes(&self, x: &[LaneBlock], y: &LaneBlock) -> Mat<f64> {
+        match self {
+            Mass::Lumped(masses) => lanes::weighted_gram(x, |row| masses[row / 3], y),
+            Mass::Consistent(matrix) => {
+                let mut weighed = LaneBlock::zeros(y.n());
+                matrix.multiply_lanes(&mut weighed, y);
+                lanes::weighted_gram(x, |_| 1.0, &weighed)
+            }
         }
     }
 
@@ -143,6 +187,15 @@ mod tests {
             let [wide, narrow] = [wide.as_ref(), narrow.as_ref()];
             assert!(close(mass.inner(wide, narrow), weighed.transpose() * narrow), "{kind:?}");
             assert!(close(mass.inner(narrow, wide), narrow.transpose() * &weighed), "{kind:?}");
+            let lanes = LaneBlock::of_columns(narrow);
+            let inner = mass.inner_lanes(&LaneBlock::split(wide), &lanes);
+            let inner = inner.get(..wide.ncols(), ..3).to_owned();
+            assert!(close(inner, weighed.transpose() * narrow), "{kind:?}");
+            let mut product = Mat::zeros(model.n(), 3);
+            let mut weighed = LaneBlock::zeros(model.n());
+            mass.multiply_lanes(&mut weighed, &lanes);
+            weighed.copy_to(product.as_mut());
+            assert!(close(product, mass.multiply(narrow)), "{kind:?}");
         }
     }
 }

@@ -14,6 +14,7 @@ pub use symbolic::SymbolicCholesky;
 
 use crate::assembly::mass::Mass;
 use crate::assembly::sparse::{BlockMatrix, ScalarMatrix};
+use crate::lanes::LaneBlock;
 use faer::MatMut;
 use solve::Half;
 use std::sync::Arc;
@@ -83,6 +84,13 @@ impl SparseCholesky {
     pub fn solve_in_place(&self, b: MatMut<'_, f64>) {
         assert_eq!(b.nrows(), self.n());
         solve::solve_in_place(&self.symbolic, &self.values, Half::Both, b);
+    }
+
+    /// Overwrites eight vectors, whose rows are in the order of the factor ([`SymbolicCholesky::order`]), by A⁻¹ of
+    /// them.
+    pub fn solve_lanes(&self, b: &mut LaneBlock) {
+        assert_eq!(b.n(), self.n());
+        solve::solve_lanes(&self.symbolic, &self.values, b);
     }
 
     /// Overwrites B (n×k) by L⁻¹B, whose rows are in the order of the factor.
@@ -189,6 +197,22 @@ mod tests {
                 assert!((a.multiply(x.as_ref()) - &b).norm_max() < 1e-13, "{k}");
             }
         }
+    }
+
+    #[test]
+    fn eight_vectors_abreast_are_solved_as_columns_are() {
+        let a = grid(13);
+        let factor = SparseCholesky::of_blocks(&a).unwrap();
+        let b = Mat::from_fn(a.n(), 8, |i, j| ((i + 7 * j) as f64).cos());
+        let mut columns = b.clone();
+        factor.solve_in_place(columns.as_mut());
+        let symbolic = factor.symbolic();
+        let mut lanes = LaneBlock::of_columns(b.as_ref()).by_vertices(|at| symbolic.order()[at]);
+        factor.solve_lanes(&mut lanes);
+        let lanes = lanes.by_vertices(|vertex| symbolic.position()[vertex] as usize);
+        let mut found = Mat::zeros(a.n(), 8);
+        lanes.copy_to(found.as_mut());
+        assert!(found == columns);
     }
 
     #[test]

@@ -10,19 +10,12 @@
 
 #![expect(clippy::needless_range_loop, reason = "see the note on loops below")]
 
-use pulp::{Arch, Simd, WithSimd};
+use crate::lanes::kernels::{
+    Fetch, GROUP, Row, Rows, dispatch, scale, subtract_row, subtract_rows, subtract_transposed_rows,
+};
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 use std::ops::Range;
-
-/// Values of `N` right-hand sides at one row; `N` is 8, 16 or 32.
-pub(super) type Row<const N: usize> = [f64; N];
-
-/// Columns of a whole group.
-const GROUP: usize = 8;
-
-/// Right-hand sides at a time: with so many, the solutions of a group's columns stay in the registers of
-/// AVX-512.
-const LANES: usize = 16;
 
 /// Columns solved before all threads bring the rows below them up to date.
 const BLOCK: usize = 128;
@@ -163,60 +156,6 @@ enum Next {
     Before,
 }
 
-/// Consecutive rows of a group.
-#[derive(Clone, Copy)]
-struct Rows<'a, const C: usize> {
-    l: &'a [[f64; C]],
-    fetch: Fetch,
-}
-
-/// What is to be fetched while rows of a whole group are read, each a cache line: those of the next *window*,
-/// from its four quarters in turn, which are four pages. Whatever the line, asking for it is harmless.
-#[derive(Clone, Copy)]
-struct Fetch {
-    /// Which line of all that are read the first row is.
-    begin: usize,
-    /// Lines between the end of these rows and those that are read next.
-    gap: usize,
-}
-
-/// Lines of a window: 16 KB.
-const WINDOW: usize = 256;
-
-impl Fetch {
-    /// The line of a window that is asked for when its line `at` would be.
-    #[inline(always)]
-    fn permuted(at: usize) -> usize {
-        (at % 4) * (WINDOW / 4) + at / 4
-    }
-
-    /// On the way down, at row `i`.
-    #[inline(always)]
-    fn ahead<const C: usize>(self, l: &[[f64; C]], i: usize) {
-        if C != GROUP {
-            return;
-        }
-        let at = self.begin + i;
-        let line = at - at % WINDOW + WINDOW + Fetch::permuted(at % WINDOW) - self.begin;
-        let line = if line < l.len() { line } else { line + self.gap };
-        prefetch_index::prefetch_index(l, line);
-    }
-
-    /// On the way up, at row `i`.
-    #[inline(always)]
-    fn behind<const C: usize>(self, l: &[[f64; C]], i: usize) {
-        if C != GROUP {
-            return;
-        }
-        let (begin, at) = (self.begin as isize, self.begin + i);
-        let window = (at - at % WINDOW) as isize;
-        // Negative before the first of these rows.
-        let line = window - 1 - Fetch::permuted(WINDOW - 1 - at % WINDOW) as isize - begin;
-        let line = if line >= 0 { line } else { line - self.gap as isize };
-        prefetch_index::prefetch_index(l, line as usize);
-    }
-}
-
 /// X ← L₁⁻¹X and B ← −L₂X for a panel [L₁; L₂] with as many columns as X has rows.
 pub(super) fn solve_forward<const N: usize>(
     panel: Panel<'_>,
@@ -265,23 +204,6 @@ pub(super) fn solve_backward<const N: usize>(
         subtract(first, current, first + size, solved);
         dispatch(Backward { panel, first, x: current, below: &[] });
     }
-}
-
-fn dispatch(operation: impl WithSimd<Output = ()>) {
-    Arch::new().dispatch(operation);
-}
-
-// Loops, not iterator or array methods: those are not sure to be inlined into code compiled for the
-// processor at hand, and cost tenfold when they are not.
-
-#[inline(always)]
-fn load<S: Simd, const N: usize>(row: &Row<N>, part: usize) -> S::f64s {
-    S::as_simd_f64s(row).0[part]
-}
-
-#[inline(always)]
-fn store<S: Simd, const N: usize>(row: &mut Row<N>, part: usize, x: S::f64s) {
-    S::as_mut_simd_f64s(row).0[part] = x;
 }
 
 /// Calls a function of a group with the number of its columns as a constant.
@@ -381,58 +303,6 @@ fn subtract_group<S: Simd, const N: usize, const C: usize>(
     subtract_rows::<S, N, C>(simd, rows, x, y);
 }
 
-/// Y ← Y − LX for rows of one group.
-#[inline(always)]
-fn subtract_rows<S: Simd, const N: usize, const C: usize>(
-    simd: S,
-    rows: Rows<'_, C>,
-    x: &[Row<N>],
-    y: &mut [Row<N>],
-) {
-    if N > LANES {
-        subtract_lanes::<S, N, C, 0, LANES>(simd, rows, x, y);
-        subtract_lanes::<S, N, C, LANES, LANES>(simd, rows, x, y);
-    } else {
-        subtract_lanes::<S, N, C, 0, N>(simd, rows, x, y);
-    }
-}
-
-/// The same for `W` right-hand sides from `LANE` on.
-#[inline(always)]
-fn subtract_lanes<S: Simd, const N: usize, const C: usize, const LANE: usize, const W: usize>(
-    simd: S,
-    rows: Rows<'_, C>,
-    x: &[Row<N>],
-    y: &mut [Row<N>],
-) {
-    let Rows { l, fetch } = rows;
-    let zero = simd.splat_f64s(0.0);
-    let (begin, n_parts) = (LANE / S::F64_LANES, W / S::F64_LANES);
-    let mut minus = [[zero; W]; C];
-    for c in 0..C {
-        for part in 0..n_parts {
-            minus[c][part] = simd.sub_f64s(zero, load::<S, N>(&x[c], begin + part));
-        }
-    }
-    let y = &mut y[..l.len()];
-    for i in 0..l.len() {
-        if LANE == 0 {
-            fetch.ahead(l, i);
-        }
-        let mut factor = [zero; C];
-        for c in 0..C {
-            factor[c] = simd.splat_f64s(l[i][c]);
-        }
-        for part in 0..n_parts {
-            let mut sum = load::<S, N>(&y[i], begin + part);
-            for c in 0..C {
-                sum = simd.mul_add_f64s(factor[c], minus[c][part], sum);
-            }
-            store::<S, N>(&mut y[i], begin + part, sum);
-        }
-    }
-}
-
 /// X ← L₁⁻ᵀ(X − L₂ᵀB) for the columns from `first` on, as many as X has rows; L₂ is empty if B is.
 struct Backward<'a, const N: usize> {
     panel: Panel<'a>,
@@ -523,85 +393,6 @@ fn subtract_transposed_group<S: Simd, const N: usize, const C: usize>(
     subtract_transposed_rows::<S, N, C>(simd, rows, x, y);
 }
 
-/// X ← X − LᵀY for rows of one group.
-#[inline(always)]
-fn subtract_transposed_rows<S: Simd, const N: usize, const C: usize>(
-    simd: S,
-    rows: Rows<'_, C>,
-    x: &mut [Row<N>],
-    y: &[Row<N>],
-) {
-    if N > LANES {
-        subtract_transposed_lanes::<S, N, C, 0, LANES>(simd, rows, x, y);
-        subtract_transposed_lanes::<S, N, C, LANES, LANES>(simd, rows, x, y);
-    } else {
-        subtract_transposed_lanes::<S, N, C, 0, N>(simd, rows, x, y);
-    }
-}
-
-/// The same for `W` right-hand sides from `LANE` on.
-#[inline(always)]
-fn subtract_transposed_lanes<
-    S: Simd,
-    const N: usize,
-    const C: usize,
-    const LANE: usize,
-    const W: usize,
->(
-    simd: S,
-    rows: Rows<'_, C>,
-    x: &mut [Row<N>],
-    y: &[Row<N>],
-) {
-    let Rows { l, fetch } = rows;
-    let zero = simd.splat_f64s(0.0);
-    let (begin, n_parts) = (LANE / S::F64_LANES, W / S::F64_LANES);
-    let mut sums = [[zero; W]; C];
-    let y = &y[..l.len()];
-    // From the end, as the groups.
-    for i in 0..l.len() {
-        let i = l.len() - 1 - i;
-        if LANE == 0 {
-            fetch.behind(l, i);
-        }
-        let mut row = [zero; W];
-        for part in 0..n_parts {
-            row[part] = load::<S, N>(&y[i], begin + part);
-        }
-        for c in 0..C {
-            let factor = simd.splat_f64s(l[i][c]);
-            for part in 0..n_parts {
-                sums[c][part] = simd.mul_add_f64s(factor, row[part], sums[c][part]);
-            }
-        }
-    }
-    for c in 0..C {
-        for part in 0..n_parts {
-            let before = load::<S, N>(&x[c], begin + part);
-            store::<S, N>(&mut x[c], begin + part, simd.sub_f64s(before, sums[c][part]));
-        }
-    }
-}
-
-/// `y -= factor·x`.
-#[inline(always)]
-fn subtract_row<S: Simd, const N: usize>(simd: S, factor: f64, x: &Row<N>, y: &mut Row<N>) {
-    let minus = simd.splat_f64s(-factor);
-    for part in 0..N / S::F64_LANES {
-        let sum = simd.mul_add_f64s(minus, load::<S, N>(x, part), load::<S, N>(y, part));
-        store::<S, N>(y, part, sum);
-    }
-}
-
-#[inline(always)]
-fn scale<S: Simd, const N: usize>(simd: S, x: &mut Row<N>, factor: f64) {
-    let factor = simd.splat_f64s(factor);
-    for part in 0..N / S::F64_LANES {
-        let scaled = simd.mul_f64s(load::<S, N>(x, part), factor);
-        store::<S, N>(x, part, scaled);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -672,12 +463,5 @@ mod tests {
                 }
             }
         }
-    }
-
-    #[test]
-    fn a_window_is_asked_for_line_by_line() {
-        let mut lines: Vec<usize> = (0..WINDOW).map(Fetch::permuted).collect();
-        lines.sort_unstable();
-        assert_eq!(lines, (0..WINDOW).collect::<Vec<_>>());
     }
 }

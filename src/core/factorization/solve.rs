@@ -8,8 +8,10 @@
 //! Supernodes that the right-hand sides do not reach are skipped on the way down: a stitch reaches
 //! a path to the root of the elimination tree, a few separators out of thousands of supernodes.
 
-use super::panel::{self, Panel, Row, Threads};
+use super::panel::{self, Panel, Threads};
 use super::symbolic::{Piece, SymbolicCholesky};
+use crate::lanes::kernels::Row;
+use crate::lanes::{LANES, LaneBlock};
 use crate::linalg;
 use faer::{Mat, MatMut, MatRef};
 use rayon::prelude::*;
@@ -46,7 +48,15 @@ pub(super) fn solve_in_place(
     }
 }
 
-/// As above, `N` columns at a time.
+/// Overwrites eight vectors, whose rows are in the permuted order, by (LLᵀ)⁻¹ of them.
+pub(super) fn solve_lanes(symbolic: &SymbolicCholesky, values: &[Vec<f64>], b: &mut LaneBlock) {
+    let mut solver = Solver { symbolic, values, x: b.take_rows() };
+    solver.forward();
+    solver.backward();
+    *b = LaneBlock::of_rows(solver.x);
+}
+
+/// [`solve_in_place`], `N` columns at a time.
 fn solve_columns<const N: usize>(
     symbolic: &SymbolicCholesky,
     values: &[Vec<f64>],
@@ -146,9 +156,6 @@ struct Solver<'a, const N: usize> {
     x: Vec<Row<N>>,
 }
 
-/// Right-hand sides that fill a line of the processor's cache.
-const LINE: usize = 8;
-
 /// Vertices that one task copies: 32 columns of their rows are 18 KB, which stay in the first-level cache.
 const VERTICES_PER_TASK: usize = 24;
 
@@ -179,8 +186,8 @@ impl<'a, const N: usize> Solver<'a, N> {
             if b.ncols() < N {
                 x.fill([0.0; N]);
             }
-            for first in (0..b.ncols()).step_by(LINE) {
-                let some = b.subcols(first, LINE.min(b.ncols() - first));
+            for first in (0..b.ncols()).step_by(LANES) {
+                let some = b.subcols(first, LANES.min(b.ncols() - first));
                 let columns: Vec<&[f64]> = some
                     .col_iter()
                     .filter_map(|column| column.try_as_col_major())
@@ -189,11 +196,11 @@ impl<'a, const N: usize> Solver<'a, N> {
                 for (x, &vertex) in x.chunks_exact_mut(size).zip(order) {
                     for (axis, x) in x.iter_mut().enumerate() {
                         let row = size * vertex + axis;
-                        match <&[&[f64]; LINE]>::try_from(&columns[..]) {
+                        match <&[&[f64]; LANES]>::try_from(&columns[..]) {
                             // A line at once instead of a number in every line: half the time.
                             Ok(columns) => {
-                                let line: [f64; LINE] = std::array::from_fn(|j| columns[j][row]);
-                                x[first..][..LINE].copy_from_slice(&line);
+                                let line: [f64; LANES] = std::array::from_fn(|j| columns[j][row]);
+                                x[first..][..LANES].copy_from_slice(&line);
                             }
                             Err(_) => {
                                 let x = x[first..].iter_mut();
@@ -211,8 +218,8 @@ impl<'a, const N: usize> Solver<'a, N> {
         let chunks = b.par_row_chunks_mut(VERTICES_PER_TASK * size);
         chunks.zip(position.par_chunks(VERTICES_PER_TASK)).for_each(|(mut b, position)| {
             let k = b.ncols();
-            for first in (0..k).step_by(LINE) {
-                let some = b.as_mut().subcols_mut(first, LINE.min(k - first));
+            for first in (0..k).step_by(LANES) {
+                let some = b.as_mut().subcols_mut(first, LANES.min(k - first));
                 let mut columns: Vec<&mut [f64]> = some
                     .col_iter_mut()
                     .filter_map(|column| column.try_as_col_major_mut())
@@ -347,8 +354,7 @@ impl<'a, const N: usize> Solver<'a, N> {
         let mut below = Vec::new();
         for piece in symbolic.pieces().iter().filter(|piece| !piece.is_subtree).rev() {
             let s = piece.supernodes.start;
-            below.clear();
-            gather_rows(&x, 0, symbolic.rows(s), &mut below, size);
+            copy_rows(&x, 0, symbolic.rows(s), &mut below, size);
             let (panel, rows) = self.panel(s, 0);
             panel::solve_backward(panel, &mut x[rows], &below, Threads::All);
         }
@@ -360,7 +366,7 @@ impl<'a, const N: usize> Solver<'a, N> {
                 let mut rows = Vec::new();
                 if piece.is_subtree {
                     let root = piece.supernodes.end - 1;
-                    gather_rows(&x, 0, symbolic.rows(root), &mut rows, size);
+                    copy_rows(&x, 0, symbolic.rows(root), &mut rows, size);
                 }
                 rows
             })
@@ -380,19 +386,21 @@ impl<'a, const N: usize> Solver<'a, N> {
         let (symbolic, size) = (self.symbolic, self.symbolic.size());
         let columns = symbolic.columns_of(piece);
         let root_rows = symbolic.rows(piece.supernodes.end - 1);
-        let mut below = Vec::new();
+        let (mut below, mut outside, mut places) = (Vec::new(), Vec::new(), Vec::new());
         for s in piece.supernodes.clone().rev() {
             let rows = symbolic.rows(s);
             let inside = rows.partition_point(|&row| (row as usize) < columns.end);
-            below.clear();
-            gather_rows(x, columns.start, &rows[..inside], &mut below, size);
+            copy_rows(x, columns.start, &rows[..inside], &mut below, size);
             let mut at = 0;
-            for &row in &rows[inside..] {
+            places.clear();
+            places.extend(rows[inside..].iter().map(|&row| {
                 while root_rows[at] < row {
                     at += 1;
                 }
-                below.extend_from_slice(&outer[at * size..][..size]);
-            }
+                at as u32
+            }));
+            copy_rows(outer, 0, &places, &mut outside, size);
+            below.extend_from_slice(&outside);
             let (panel, rows) = self.panel(s, columns.start);
             panel::solve_backward(panel, &mut x[rows], &below, Threads::One);
         }
@@ -429,15 +437,35 @@ fn add_rows<const N: usize>(
     );
 }
 
-/// Appends the rows of each vertex in `rows`; `x` starts at vertex `first`.
-fn gather_rows<const N: usize>(
+/// The rows of each vertex in `rows`, in `values`; `x` starts at vertex `first`.
+fn copy_rows<const N: usize>(
     x: &[Row<N>],
     first: usize,
     rows: &[u32],
     values: &mut Vec<Row<N>>,
     size: usize,
 ) {
-    for &row in rows {
-        values.extend_from_slice(&x[(row as usize - first) * size..][..size]);
+    values.resize(size * rows.len(), [0.0; N]);
+    match size {
+        3 => copy_vertices::<N, 3>(x, first, rows, values),
+        _ => copy_vertices::<N, 1>(x, first, rows, values),
     }
+}
+
+/// The same for vertices of `SIZE` rows: a constant, so that no vertex costs a call.
+fn copy_vertices<const N: usize, const SIZE: usize>(
+    x: &[Row<N>],
+    first: usize,
+    rows: &[u32],
+    values: &mut [Row<N>],
+) {
+    let (x, values) = (x.as_chunks::<SIZE>().0, values.as_chunks_mut::<SIZE>().0);
+    linalg::vectorized(
+        #[inline(always)]
+        || {
+            for (value, &row) in values.iter_mut().zip(rows) {
+                *value = x[row as usize - first];
+            }
+        },
+    );
 }

@@ -161,11 +161,11 @@ impl SymbolicCholesky {
         self.n_flops
     }
     /// Vertex at each position of the factor.
-    pub(super) fn order(&self) -> &[usize] {
+    pub fn order(&self) -> &[usize] {
         &self.order
     }
     /// Position of each vertex.
-    pub(super) fn position(&self) -> &[u32] {
+    pub fn position(&self) -> &[u32] {
         &self.position
     }
     pub(super) fn supernodes(&self) -> &[Supernode] {

@@ -24,24 +24,25 @@
 use crate::assembly::mass::Mass;
 use crate::control::{self, Control, Stage};
 use crate::factorization::SparseCholesky;
+use crate::lanes::{self, LANES, LaneBlock};
 use crate::linalg::{self, DenseError};
 use crate::modes::{LinearModes, ModesError};
-use faer::{Mat, MatMut, MatRef};
+use faer::{Mat, MatRef};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rayon::prelude::*;
+use std::slice;
 
-/// Vectors a step.
-const BLOCK: usize = 8;
+/// Vectors a step: as many as are held abreast. Steps of 16 cost a solve half as much a vector, but take
+/// half as many vectors again.
+const BLOCK: usize = LANES;
 
 /// Relative residual (see [`AuditedModes::residuals`]) to which the wanted modes converge; the
 /// Euclidean ‖Kφ − λMφ‖/‖λMφ‖ is about as large.
 const TOLERANCE: f64 = 5e-9;
 
 /// The same for the guard modes. Updates take all modes for exact invariants of the unstitched body
-/// (`modes::seams`): what guards leave of that shows in the orthonormality of updated modes, and with 1e-6 in Ritz
-/// values that a partly closed fork had 1.3e-6 below the exact ones.
-const GUARD_TOLERANCE: f64 = 3e-7;
+/// (`modes::seams`): what guards leave of that shows in the orthonormality of updated modes.
+const GUARD_TOLERANCE: f64 = 1e-6;
 
 /// A Lanczos vector shorter than this fraction of the largest eigenvalue is rounding noise.
 const BREAKDOWN: f64 = 1e-13;
@@ -96,13 +97,13 @@ pub fn lowest_modes(
         return Ok(AuditedModes { modes, residuals: Vec::new() });
     }
 
-    let mut krylov = Krylov::new(problem, 6 * kept);
+    let mut krylov = Krylov::new(problem);
     krylov.append_random(BLOCK.min(n_elastic))?;
     let mut schedule = Schedule { next: 2 * kept, last: None };
     loop {
         control::check(control)?;
         krylov.apply()?;
-        let dim = krylov.dim();
+        let dim = krylov.dim;
         let done = dim >= most;
         if done || dim >= schedule.next {
             let pairs = krylov.ritz(kept)?;
@@ -156,21 +157,27 @@ struct RitzPairs {
 }
 
 /// The Krylov space of B so far.
+///
+/// Rows of vectors are in the order of the factor, so that no solve has to move them.
 struct Krylov<'a> {
     problem: &'a ShiftInvert<'a>,
+    /// M.
+    mass: Mass,
+    rigid: Vec<LaneBlock>,
     /// Random vectors drawn.
     n_random: u64,
-    /// V, n × dim. Memory is reserved for `capacity` columns, so that V grows without being copied.
-    basis: Mat<f64>,
-    capacity: usize,
-    /// Columns of V that [`Krylov::apply`] has not seen, or the last it has.
+    /// V by blocks: only the last may have fewer than eight vectors, and zero ones after them.
+    basis: Vec<LaneBlock>,
+    /// Vectors in V.
+    dim: usize,
+    /// Vectors of the block that [`Krylov::apply`] has not seen, or of the last it has.
     width: usize,
     /// T.
     projected: Mat<f64>,
     /// W ≈ V_next·coupling: what the last block of V has in common with B times the one before.
     coupling: Mat<f64>,
     /// W.
-    remainder: Mat<f64>,
+    remainder: LaneBlock,
     /// WᵀMW.
     gram: Mat<f64>,
     /// Largest share of a W's column that W leant on V by, after the recurrence.
@@ -180,47 +187,43 @@ struct Krylov<'a> {
 }
 
 impl<'a> Krylov<'a> {
-    fn new(problem: &'a ShiftInvert<'a>, capacity: usize) -> Krylov<'a> {
-        let n = problem.factor.n();
+    fn new(problem: &'a ShiftInvert<'a>) -> Krylov<'a> {
+        let symbolic = problem.factor.symbolic();
+        let order = |block: LaneBlock| block.by_vertices(|at| symbolic.order()[at]);
         Krylov {
             problem,
+            mass: problem.mass.permuted(symbolic.order(), symbolic.position()),
+            rigid: LaneBlock::split(problem.rigid).into_iter().map(order).collect(),
             n_random: 0,
-            basis: Mat::with_capacity(n, capacity),
-            capacity,
+            basis: Vec::new(),
+            dim: 0,
             width: 0,
             projected: Mat::zeros(0, 0),
             coupling: Mat::zeros(0, 0),
-            remainder: Mat::zeros(n, 0),
+            remainder: LaneBlock::zeros(problem.factor.n()),
             gram: Mat::zeros(0, 0),
             leaning: 0.0,
             lost: 0.0,
         }
     }
 
-    fn dim(&self) -> usize {
-        self.basis.ncols()
-    }
-
     /// W = B V_last less its part in V, and the next block column of T.
     fn apply(&mut self) -> Result<(), DenseError> {
-        let ShiftInvert { factor, mass, .. } = *self.problem;
-        let (dim, width) = (self.dim(), self.width);
+        let mass = &self.mass;
+        let (dim, width) = (self.dim, self.width);
         let first = dim - width;
         let before = first - self.coupling.ncols();
-        if self.remainder.ncols() != width {
-            self.remainder = Mat::zeros(self.basis.nrows(), width);
-        }
-        let block = self.basis.subcols(first, width);
-        mass.multiply_into(&mut self.remainder, block);
-        factor.solve_in_place(self.remainder.as_mut());
+        let Some(last) = self.basis.last() else { return Ok(()) };
+        mass.multiply_lanes(&mut self.remainder, last);
+        self.problem.factor.solve_lanes(&mut self.remainder);
 
-        let recent = self.basis.subcols(before, dim - before);
-        let c = take_out(mass, self.remainder.as_mut(), recent);
-        let mut diagonal = c.subrows(first - before, width).to_owned();
-        take_out(mass, self.remainder.as_mut(), self.problem.rigid);
-        let c = take_out(mass, self.remainder.as_mut(), self.basis.as_ref());
-        diagonal += c.subrows(first, width);
-        self.gram = mass.gram(self.remainder.as_ref());
+        let recent = &self.basis[before / LANES..];
+        let c = take_out(mass, &mut self.remainder, recent);
+        let mut diagonal = c.submatrix(first - before, 0, width, width).to_owned();
+        take_out(mass, &mut self.remainder, &self.rigid);
+        let c = take_out(mass, &mut self.remainder, &self.basis);
+        diagonal += c.submatrix(first, 0, width, width);
+        self.gram = gram(mass, &self.remainder, width);
         self.leaning = (0..width)
             .map(|j| c.col(j).norm_max() / self.gram[(j, j)].sqrt().max(f64::MIN_POSITIVE))
             .fold(0.0, f64::max);
@@ -247,7 +250,7 @@ impl<'a> Krylov<'a> {
     /// With T = YΘYᵀ and u = YΘ^(−½)z they are those of (Θ + SᵀGS) z = z/μ, S being the last rows of
     /// YΘ^(−½) and G = WᵀMW.
     fn ritz(&self, count: usize) -> Result<RitzPairs, DenseError> {
-        let (dim, width) = (self.dim(), self.width);
+        let (dim, width) = (self.dim, self.width);
         let (theta, y) = linalg::symmetric_eigen(self.projected.as_ref())?;
         let floor = NEGLIGIBLE * theta[dim - count];
         let first = theta.partition_point(|t| *t <= floor).min(dim - count);
@@ -297,9 +300,20 @@ impl<'a> Krylov<'a> {
 
     /// Φ = B V u = V T u + W u_last.
     fn modes(self, pairs: &RitzPairs) -> AuditedModes {
-        let u_last = pairs.coefficients.subrows(self.dim() - self.width, self.width);
-        let mut shapes = linalg::product(self.basis.as_ref(), pairs.in_basis.as_ref());
-        linalg::add_product(shapes.as_mut(), 1.0, self.remainder.as_ref(), u_last);
+        let (dim, count) = (self.dim, pairs.shifted.len());
+        let u_last = pairs.coefficients.subrows(dim - self.width, self.width);
+        let mut shapes = Mat::zeros(self.problem.factor.n(), count);
+        for first in (0..count).step_by(LANES) {
+            let size = LANES.min(count - first);
+            let mut some = LaneBlock::zeros(shapes.nrows());
+            let minus = -pairs.in_basis.subcols(first, size);
+            lanes::subtract_product(&mut some, &self.basis, minus.as_ref());
+            let minus = -u_last.subcols(first, size);
+            lanes::subtract_product(&mut some, slice::from_ref(&self.remainder), minus.as_ref());
+            let position = self.problem.factor.symbolic().position();
+            let some = some.by_vertices(|vertex| position[vertex] as usize);
+            some.copy_to(shapes.as_mut().subcols_mut(first, size));
+        }
         let eigenvalues = pairs.shifted.iter().map(|mu| mu - self.problem.sigma).collect();
         let modes = LinearModes { shapes, eigenvalues };
         AuditedModes { modes, residuals: pairs.residuals.clone() }
@@ -308,8 +322,8 @@ impl<'a> Krylov<'a> {
     /// Appends the M-orthonormal directions of W to V, at most `room`; those lost to breakdown (an
     /// invariant subspace was found) are replaced by random ones.
     fn expand(&mut self, room: usize) -> Result<(), ModesError> {
-        let mass = self.problem.mass;
-        let (dim, width) = (self.dim(), self.width);
+        let mass = &self.mass;
+        let (dim, width) = (self.dim, self.width);
         let room = room.min(width);
         let largest = (0..dim).map(|i| self.projected[(i, i)]).fold(0.0, f64::max);
         let noise = (BREAKDOWN * largest).powi(2);
@@ -333,94 +347,114 @@ impl<'a> Krylov<'a> {
             .fold(1.0, f64::max)
             .recip();
 
-        self.grow(kept);
-        let (old, mut new) = self.basis.as_mut().split_at_col_mut(dim);
-        let old = old.as_ref();
-        linalg::add_product(new.as_mut(), 1.0, self.remainder.as_ref(), whitening);
+        let mut new = turned(&self.remainder, whitening);
         let mut coupling = linalg::small_product(whitening.transpose(), gram.as_ref());
         if self.leaning > CANCELLATION || shrinking < CANCELLATION {
-            take_out(mass, new.as_mut(), self.problem.rigid);
-            take_out(mass, new.as_mut(), old);
-            let again = linalg::SmallCholesky::new(mass.gram(new.as_ref()).as_ref());
+            take_out(mass, &mut new, &self.rigid);
+            take_out(mass, &mut new, &self.basis);
+            let again = linalg::SmallCholesky::new(self::gram(mass, &new, kept).as_ref());
             match again {
                 Ok(factor) => {
-                    let turned = linalg::product(new.as_ref(), factor.whitening().as_ref());
                     coupling = linalg::small_product(factor.lower().transpose(), coupling.as_ref());
-                    new.copy_from(&turned);
+                    new = turned(&new, factor.whitening().as_ref());
                 }
                 // Nothing but rounding was left of some direction: none of the block is worth keeping.
                 Err(_) => coupling = Mat::zeros(0, width),
             }
         }
         let kept = coupling.nrows();
-        self.basis.truncate(self.basis.nrows(), dim + kept);
         if kept < width {
-            let block = self.basis.subcols(dim, kept);
-            linalg::add_product(self.remainder.as_mut(), -1.0, block, coupling.as_ref());
-            let left = mass.gram(self.remainder.as_ref());
+            let block = slice::from_ref(&new);
+            lanes::subtract_product(&mut self.remainder, block, coupling.as_ref());
+            let left = self::gram(mass, &self.remainder, width);
             self.lost += (0..width).map(|i| left[(i, i)].max(0.0)).sum::<f64>().sqrt();
         }
-        self.append_random(room - kept)?;
+        self.append(new, kept, room)?;
         self.coupling =
             Mat::from_fn(room, width, |i, j| if i < kept { coupling[(i, j)] } else { 0.0 });
-        self.width = room;
         Ok(())
     }
 
     /// Appends `count` random vectors, M-orthonormal to V and the rigid modes.
     fn append_random(&mut self, count: usize) -> Result<(), ModesError> {
-        let mass = self.problem.mass;
-        let dim = self.dim();
-        self.width = count;
-        if count == 0 {
-            return Ok(());
+        self.append(LaneBlock::zeros(self.problem.factor.n()), 0, count)
+    }
+
+    /// Appends the first `kept` vectors of `block`, which are M-orthonormal to V, to the rigid modes and to one
+    /// another, and random ones up to `count` vectors.
+    fn append(
+        &mut self,
+        mut block: LaneBlock,
+        kept: usize,
+        count: usize,
+    ) -> Result<(), ModesError> {
+        if kept < count {
+            let random = self.random_vectors(&block, count - kept)?;
+            for (row, random) in block.rows_mut().iter_mut().zip(random.rows()) {
+                row[kept..count].copy_from_slice(&random[..count - kept]);
+            }
         }
-        self.grow(count);
+        self.width = count;
+        self.dim += count;
+        if count > 0 {
+            self.basis.push(block);
+        }
+        Ok(())
+    }
+
+    /// `count` random vectors, M-orthonormal to V, to `block` and to the rigid modes.
+    fn random_vectors(&mut self, block: &LaneBlock, count: usize) -> Result<LaneBlock, ModesError> {
         for _attempt in 0..4 {
-            let (old, mut new) = self.basis.as_mut().split_at_col_mut(dim);
-            let stream = self.n_random;
-            self.n_random += count as u64;
-            new.as_mut().par_col_chunks_mut(1).enumerate().for_each(|(j, column)| {
-                let mut random = ChaCha8Rng::seed_from_u64(0x5);
-                random.set_stream(stream + j as u64);
-                column.col_mut(0).iter_mut().for_each(|x| *x = random.random::<f64>() - 0.5);
-            });
+            let mut new = self.draw(count);
+            let mass = &self.mass;
             for _pass in 0..3 {
-                take_out(mass, new.as_mut(), self.problem.rigid);
-                take_out(mass, new.as_mut(), old.as_ref());
-                let gram = mass.gram(new.as_ref());
+                take_out(mass, &mut new, &self.rigid);
+                take_out(mass, &mut new, &self.basis);
+                take_out(mass, &mut new, slice::from_ref(block));
+                let gram = gram(mass, &new, count);
                 let whitening = linalg::orthonormal_coefficients(gram.as_ref(), DEPENDENT)?;
                 if whitening.ncols() < count {
                     break;
                 }
-                let turned = linalg::product(new.as_ref(), whitening.as_ref());
-                new.copy_from(&turned);
+                new = turned(&new, whitening.as_ref());
             }
-            let error = linalg::distance_from_identity(mass.gram(new.as_ref()).as_ref());
+            let error = linalg::distance_from_identity(gram(mass, &new, count).as_ref());
             if error < 1e-10 {
-                return Ok(());
+                return Ok(new);
             }
         }
-        Err(ModesError::NotConverged { residual: f64::INFINITY, dimension: dim })
+        Err(ModesError::NotConverged { residual: f64::INFINITY, dimension: self.dim })
     }
 
-    /// Appends zero columns to V.
-    fn grow(&mut self, count: usize) {
-        let (n, dim) = (self.problem.factor.n(), self.dim());
-        if dim + count > self.capacity {
-            self.capacity = dim + count + dim / 2;
-            self.basis.reserve(n, self.capacity);
-        }
-        self.basis.resize_with(n, dim + count, |_, _| 0.0);
+    /// `count` vectors of random numbers, each from a stream of its own.
+    fn draw(&mut self, count: usize) -> LaneBlock {
+        let stream = self.n_random;
+        self.n_random += count as u64;
+        let mut columns = Mat::zeros(self.problem.factor.n(), count);
+        linalg::for_each_column(&mut columns, |j, column| {
+            let mut random = ChaCha8Rng::seed_from_u64(0x5);
+            random.set_stream(stream + j as u64);
+            column.iter_mut().for_each(|x| *x = random.random::<f64>() - 0.5);
+        });
+        LaneBlock::of_columns(columns.as_ref())
     }
 }
 
 /// W ← W − P PᵀMW; returns PᵀMW.
-fn take_out(mass: &Mass, w: MatMut<'_, f64>, p: MatRef<'_, f64>) -> Mat<f64> {
-    if p.ncols() == 0 {
-        return Mat::zeros(0, w.ncols());
-    }
-    let c = mass.inner(p, w.as_ref());
-    linalg::add_product(w, -1.0, p, c.as_ref());
+fn take_out(mass: &Mass, w: &mut LaneBlock, p: &[LaneBlock]) -> Mat<f64> {
+    let c = mass.inner_lanes(p, w);
+    lanes::subtract_product(w, p, c.as_ref());
     c
+}
+
+/// `XᵀMX` of the first `width` vectors.
+fn gram(mass: &Mass, x: &LaneBlock, width: usize) -> Mat<f64> {
+    mass.inner_lanes(slice::from_ref(x), x).submatrix(0, 0, width, width).to_owned()
+}
+
+/// `XC`.
+fn turned(x: &LaneBlock, c: MatRef<'_, f64>) -> LaneBlock {
+    let mut y = LaneBlock::zeros(x.n());
+    lanes::subtract_product(&mut y, slice::from_ref(x), (-c).as_ref());
+    y
 }
