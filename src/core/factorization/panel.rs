@@ -8,8 +8,6 @@
 //!
 //! A lane is a right-hand side: entries of the factor are read once and spread over the lanes.
 
-#![expect(clippy::needless_range_loop, reason = "see the note on loops below")]
-
 use crate::lanes::kernels::{
     Fetch, GROUP, Row, Rows, dispatch, scale, subtract_row, subtract_rows, subtract_transposed_rows,
 };
@@ -394,6 +392,7 @@ fn subtract_transposed_group<S: Simd, const N: usize, const C: usize>(
 }
 
 #[cfg(test)]
+#[expect(clippy::needless_range_loop, reason = "rows and columns as in the definitions")]
 mod tests {
     use super::*;
 
