@@ -111,7 +111,7 @@ pub fn mass_pca(
 
 /// Gives columns signs that do not depend on a decomposition: the largest entry is positive.
 fn orient(x: &mut Mat<f64>) {
-    linalg::for_each_column(x, |_, column| {
+    linalg::for_each_column(x.as_mut(), |_, column| {
         let peak = column.iter().fold(0.0f64, |m, x| if x.abs() > m.abs() { *x } else { m });
         if peak < 0.0 {
             column.iter_mut().for_each(|x| *x = -*x);

@@ -378,7 +378,7 @@ impl<'a> Newton<'a> {
         let gaps = self.springs.gaps(u);
         let tension = Mat::from_fn(gaps.len(), 1, |i, _| multipliers[i] + stiffness * gaps[i]);
         let mut force = Mat::zeros(u.len(), 1);
-        self.springs.a.add_times(&mut force, tension.as_ref());
+        self.springs.a.add_times(force.as_mut(), tension.as_ref());
         force.col_as_slice(0).to_vec()
     }
 

@@ -11,7 +11,7 @@ use crate::control::{self, Cancelled, Control, Stage};
 use crate::linalg;
 use crate::modes::LinearModes;
 use crate::modes::stitched::StitchedStiffness;
-use faer::{Mat, MatRef};
+use faer::{Mat, MatMut, MatRef};
 
 /// Relative residual to which derivatives are solved where a direct solve is not exact. They only
 /// enter the span of a basis; the correction on the known modes alone reaches σ/λ_{r+1}, mostly
@@ -58,92 +58,97 @@ pub struct Solver<'a> {
     pub tolerance: f64,
 }
 
+/// Memory for the right-hand sides and the residuals of one block of columns after another.
+pub struct Scratch([Mat<f64>; 2]);
+
+impl Scratch {
+    /// For blocks of at most n × k.
+    pub fn new(n: usize, k: usize) -> Scratch {
+        Scratch([(); 2].map(|()| Mat::zeros(n, k)))
+    }
+}
+
 impl Solver<'_> {
-    /// Solves K̂X = B with XᵀMR = 0 from Y = K̂_σ⁻¹B. Returns X and the worst relative residual.
-    pub fn solve(
+    /// Solves K̂X = B with XᵀMR = 0 in the place of B. Returns the worst relative residual.
+    pub fn solve_in_place(
         &self,
-        b: MatRef<'_, f64>,
-        y: Mat<f64>,
+        mut x: MatMut<'_, f64>,
+        scratch: &mut Scratch,
         control: &dyn Control,
-    ) -> Result<(Mat<f64>, f64), Cancelled> {
-        let k = b.ncols();
-        let balanced = (self.rigid.ncols() > 0).then(|| self.balance(b.to_owned()));
-        let rhs = balanced.as_ref().map_or(b, |balanced| balanced.as_ref());
-        let norms = linalg::column_norms(rhs);
-        // Balancing changes K̂_σ⁻¹B by a rigid motion only, which is removed.
-        let mut x = self.correct(rhs, y);
-        self.remove_rigid(&mut x);
-        let mut r = self.stitched.multiply(x.as_ref());
-        linalg::for_each_column(&mut r, |j, r| {
-            for (r, b) in r.iter_mut().zip(rhs.col(j).iter()) {
-                *r = b - *r;
-            }
+    ) -> Result<f64, Cancelled> {
+        let k = x.ncols();
+        if self.rigid.ncols() > 0 {
+            self.balance(x.as_mut());
+        }
+        let [b, r] = &mut scratch.0;
+        let (mut b, mut r) = (b.as_mut().subcols_mut(0, k), r.as_mut().subcols_mut(0, k));
+        linalg::copy(b.as_mut(), x.as_ref());
+        let b = b.as_ref();
+        let norms = linalg::column_norms(b);
+        self.precondition(b, x.as_mut());
+        self.stitched.multiply_into(r.as_mut(), x.as_ref());
+        linalg::for_each_column(r.as_mut(), |j, r| {
+            r.iter_mut().zip(b.col(j).iter()).for_each(|(r, b)| *r = b - *r);
         });
+        let mut worst = worst_ratio(r.as_ref(), &norms);
+        if worst <= self.tolerance || self.sigma == 0.0 {
+            return Ok(worst);
+        }
         let mut direction = Mat::<f64>::zeros(b.nrows(), k);
         let mut old = vec![0.0f64; k];
         for step in 0..MOST_STEPS {
             control::check(control)?;
-            let worst = worst_ratio(r.as_ref(), &norms);
-            if worst <= self.tolerance || self.sigma == 0.0 {
-                return Ok((x, worst));
-            }
-            let z = self.precondition(&r);
-            let energy = column_products(&r, &z);
-            for j in 0..k {
-                let beta = if step == 0 || old[j] == 0.0 { 0.0 } else { energy[j] / old[j] };
-                for (d, z) in direction.col_as_slice_mut(j).iter_mut().zip(z.col_as_slice(j)) {
-                    *d = z + beta * *d;
-                }
-            }
+            let mut z = r.to_owned();
+            self.precondition(r.as_ref(), z.as_mut());
+            let energy = column_products(r.as_ref(), z.as_ref());
+            let beta = |j: usize| if step == 0 || old[j] == 0.0 { 0.0 } else { energy[j] / old[j] };
+            linalg::for_each_column(direction.as_mut(), |j, direction| {
+                let beta = beta(j);
+                direction.iter_mut().zip(z.col_as_slice(j)).for_each(|(d, z)| *d = z + beta * *d);
+            });
             let kd = self.stitched.multiply(direction.as_ref());
-            let curvature = column_products(&direction, &kd);
-            for j in 0..k {
-                let alpha = if curvature[j] > 0.0 { energy[j] / curvature[j] } else { 0.0 };
-                axpy(x.col_as_slice_mut(j), alpha, direction.col_as_slice(j));
-                axpy(r.col_as_slice_mut(j), -alpha, kd.col_as_slice(j));
-            }
+            let curvature = column_products(direction.as_ref(), kd.as_ref());
+            let alpha = |j: usize| if curvature[j] > 0.0 { energy[j] / curvature[j] } else { 0.0 };
+            linalg::for_each_column(x.as_mut(), |j, x| {
+                axpy(x, alpha(j), direction.col_as_slice(j));
+            });
+            linalg::for_each_column(r.as_mut(), |j, r| axpy(r, -alpha(j), kd.col_as_slice(j)));
             old = energy;
+            worst = worst_ratio(r.as_ref(), &norms);
+            if worst <= self.tolerance {
+                break;
+            }
         }
-        let worst = worst_ratio(r.as_ref(), &norms);
-        Ok((x, worst))
+        Ok(worst)
     }
 
     /// B ← B − MRRᵀB: a load that rigid motions do not feel.
-    fn balance(&self, mut b: Mat<f64>) -> Mat<f64> {
+    fn balance(&self, b: MatMut<'_, f64>) {
         let c = linalg::gram(self.rigid, b.as_ref());
         let mr = self.mass.multiply(self.rigid);
-        linalg::add_product(b.as_mut(), -1.0, mr.as_ref(), c.as_ref());
-        b
+        linalg::add_product(b, -1.0, mr.as_ref(), c.as_ref());
     }
 
-    fn remove_rigid(&self, x: &mut Mat<f64>) {
-        if self.rigid.ncols() > 0 {
-            let c = self.mass.inner(self.rigid, x.as_ref());
-            linalg::add_product(x.as_mut(), -1.0, self.rigid, c.as_ref());
-        }
-    }
-
-    fn precondition(&self, r: &Mat<f64>) -> Mat<f64> {
-        let mut z = self.correct(r.as_ref(), self.stitched.solve(r.as_ref()));
-        self.remove_rigid(&mut z);
-        z
-    }
-
-    /// K̂_σ⁻¹R + Φ(Λ⁻¹ − (Λ + σ)⁻¹)ΦᵀR: exact on the span of the modes.
-    fn correct(&self, r: MatRef<'_, f64>, mut z: Mat<f64>) -> Mat<f64> {
+    /// Overwrites X, which holds R, by K̂_σ⁻¹R + Φ(Λ⁻¹ − (Λ + σ)⁻¹)ΦᵀR, without rigid motions: exact on the span
+    /// of the modes.
+    fn precondition(&self, r: MatRef<'_, f64>, mut x: MatMut<'_, f64>) {
+        self.stitched.solve_in_place(x.as_mut());
         if let Some(modes) = self.modes.filter(|_| self.sigma > 0.0) {
             let mut c = linalg::gram(modes.shapes.as_ref(), r);
             for (i, lambda) in modes.eigenvalues.iter().enumerate() {
                 let factor = lambda.recip() - (lambda + self.sigma).recip();
                 (0..c.ncols()).for_each(|j| c[(i, j)] *= factor);
             }
-            linalg::add_product(z.as_mut(), 1.0, modes.shapes.as_ref(), c.as_ref());
+            linalg::add_product(x.as_mut(), 1.0, modes.shapes.as_ref(), c.as_ref());
         }
-        z
+        if self.rigid.ncols() > 0 {
+            let c = self.mass.inner(self.rigid, x.as_ref());
+            linalg::add_product(x, -1.0, self.rigid, c.as_ref());
+        }
     }
 }
 
-fn column_products(x: &Mat<f64>, y: &Mat<f64>) -> Vec<f64> {
+fn column_products(x: MatRef<'_, f64>, y: MatRef<'_, f64>) -> Vec<f64> {
     (0..x.ncols()).map(|j| x.col(j).transpose() * y.col(j)).collect()
 }
 

@@ -7,6 +7,7 @@
 
 use crate::linalg;
 use faer::{Mat, MatRef};
+use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -321,7 +322,9 @@ impl Combination {
 
     /// Whether no number that defines it is infinite or not a number.
     pub fn is_finite(&self) -> bool {
-        let finite = |m: MatRef<'_, f64>| m.col_iter().all(|c| c.iter().all(|x| x.is_finite()));
+        let finite = |m: MatRef<'_, f64>| {
+            m.par_col_iter().all(|column| column.iter().all(|x| x.is_finite()))
+        };
         let mut own = self.dictionary.blocks.iter().filter(|_| self.is_whole);
         finite(self.coefficients()) && own.all(|block| finite(block.columns.as_ref()))
     }

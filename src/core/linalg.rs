@@ -177,18 +177,24 @@ pub fn bordered_symmetric(old: MatRef<'_, f64>, column: MatRef<'_, f64>) -> Mat<
 
 /// Calls `f(j, column)` for every column of a column-major matrix, in parallel. Also where a sweep is
 /// only memory traffic: fresh pages are then first touched, and zeroed, by both threads.
-pub fn for_each_column(a: &mut Mat<f64>, f: impl Fn(usize, &mut [f64]) + Sync) {
-    a.as_mut().par_col_chunks_mut(1).enumerate().for_each(|(j, column)| {
+pub fn for_each_column(a: MatMut<'_, f64>, f: impl Fn(usize, &mut [f64]) + Sync) {
+    a.par_col_chunks_mut(1).enumerate().for_each(|(j, column)| {
         if let Some(column) = column.col_mut(0).try_as_col_major_mut() {
             f(j, column.as_slice_mut());
         }
     });
 }
 
+/// `Y ← X`, by all threads.
+pub fn copy(y: MatMut<'_, f64>, x: MatRef<'_, f64>) {
+    assert_eq!((y.nrows(), y.ncols()), (x.nrows(), x.ncols()));
+    for_each_column(y, |j, y| y.iter_mut().zip(x.col(j).iter()).for_each(|(y, x)| *y = *x));
+}
+
 /// The chosen columns of `a`.
 pub fn columns(a: &Mat<f64>, chosen: &[usize]) -> Mat<f64> {
     let mut some = Mat::zeros(a.nrows(), chosen.len());
-    for_each_column(&mut some, |j, column| column.copy_from_slice(a.col_as_slice(chosen[j])));
+    for_each_column(some.as_mut(), |j, column| column.copy_from_slice(a.col_as_slice(chosen[j])));
     some
 }
 

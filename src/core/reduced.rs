@@ -62,7 +62,7 @@ pub(crate) fn free_body(model: &FullModel, mass: &Mass, basis: MatRef<'_, f64>) 
     // One axis of a field, moved to the first: the mass matrix couples equal axes only.
     let along = |field: MatRef<'_, f64>, axis: usize| {
         let mut first = Mat::<f64>::zeros(n, field.ncols());
-        linalg::for_each_column(&mut first, |j, column| {
+        linalg::for_each_column(first.as_mut(), |j, column| {
             for (to, from) in column.chunks_exact_mut(3).zip(0..) {
                 to[0] = field[(3 * from + axis, j)];
             }

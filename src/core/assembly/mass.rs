@@ -42,7 +42,7 @@ impl Mass {
     pub fn multiply_into(&self, y: &mut Mat<f64>, x: MatRef<'_, f64>) {
         assert_eq!((y.nrows(), y.ncols()), (x.nrows(), x.ncols()));
         match self {
-            Mass::Lumped(masses) => linalg::for_each_column(y, |j, y| {
+            Mass::Lumped(masses) => linalg::for_each_column(y.as_mut(), |j, y| {
                 y.iter_mut().zip(x.col(j).iter()).for_each(|(y, x)| *y = *x);
                 for (three, m) in y.chunks_exact_mut(3).zip(masses) {
                     three.iter_mut().for_each(|y| *y *= m);
@@ -121,6 +121,9 @@ impl Mass {
 
     /// `XᵀMX`, of which about half is computed where X is wide.
     pub fn gram(&self, x: MatRef<'_, f64>) -> Mat<f64> {
+        if let Mass::Lumped(masses) = self {
+            return lanes::weighted_square(x, |row| masses[row / 3]);
+        }
         let k = x.ncols();
         let mut gram = Mat::zeros(k, k);
         for first in (0..k).step_by(COLUMNS_AT_A_TIME) {

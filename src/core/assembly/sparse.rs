@@ -183,15 +183,20 @@ impl BlockMatrix {
 
     /// `A·X`, X being n×k.
     pub fn multiply(&self, x: MatRef<'_, f64>) -> Mat<f64> {
-        assert_eq!(x.nrows(), self.n());
         let mut y = Mat::zeros(self.n(), x.ncols());
+        self.multiply_into(y.as_mut(), x);
+        y
+    }
+
+    /// `Y ← A·X`, both being n×k.
+    pub fn multiply_into(&self, y: MatMut<'_, f64>, x: MatRef<'_, f64>) {
+        assert_eq!(x.nrows(), self.n());
         multiply_rows(
             x,
-            y.as_mut(),
+            y,
             #[inline(always)]
             |vertex, packed| self.row_times(vertex, packed),
         );
-        y
     }
 
     #[inline(always)]

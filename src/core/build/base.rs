@@ -140,7 +140,7 @@ pub(super) fn prepare(
     let spectrum = AuditedSpectrum::converged(modes.eigenvalues, residuals);
     let mut prepared = assembled.prepared(params, state, (factor, sigma), modes.shapes, spectrum);
     let begin = clock.control.now();
-    let (set, _) = base_derivatives(&prepared, clock.control)?;
+    let set = base_derivatives(&prepared, clock.control)?;
     prepared.column_time =
         clock.control.now().saturating_sub(begin) / set.pairs.len().max(1) as u32;
     *prepared.derivatives() = Some(set.shapes.clone());

@@ -5,7 +5,7 @@ use super::span::DerivativeSet;
 use crate::assembly::FullModel;
 use crate::assembly::mass::Mass;
 use crate::control::{self, Control};
-use crate::derivatives;
+use crate::derivatives::{self, Scratch};
 use crate::modes::LinearModes;
 use crate::modes::stitched::StitchedStiffness;
 use faer::{Mat, MatRef};
@@ -40,28 +40,26 @@ impl<'a> Body<'a> {
 /// several blocks of this width.
 const DERIVATIVES_PER_SOLVE: usize = 32;
 
-/// Derivatives of every pair of the lowest `count` modes, with their loads (n×p each).
+/// Derivatives of every pair of `modes` from their loads (n×p, [`derivatives::right_hand_sides`]), in whose memory
+/// they are solved for.
 pub(super) fn new_derivatives<'a>(
     body: &Body<'a>,
     modes: &LinearModes,
     accurate: Option<&'a LinearModes>,
-    count: usize,
+    loads: Mat<f64>,
     control: &dyn Control,
-) -> Result<(DerivativeSet, Mat<f64>), BuildError> {
-    let lowest = modes.lowest(count);
-    let loads = derivatives::right_hand_sides(body.model, lowest.shapes.as_ref(), control)?;
-    let (n, p) = (loads.nrows(), loads.ncols());
-    let mut shapes = Mat::zeros(n, p);
+) -> Result<DerivativeSet, BuildError> {
+    let mut shapes = loads;
+    let (n, p) = (shapes.nrows(), shapes.ncols());
+    let mut scratch = Scratch::new(n, DERIVATIVES_PER_SOLVE.min(p));
+    let solver = body.solver(accurate);
     let mut residual = 0.0f64;
     for first in (0..p).step_by(DERIVATIVES_PER_SOLVE) {
         control::check(control)?;
-        let block = loads.subcols(first, DERIVATIVES_PER_SOLVE.min(p - first));
-        let y = body.stitched.solve(block);
-        let (x, worst) = body.solver(accurate).solve(block, y, control)?;
-        shapes.as_mut().subcols_mut(first, block.ncols()).copy_from(&x);
-        residual = residual.max(worst);
+        let block = shapes.as_mut().subcols_mut(first, DERIVATIVES_PER_SOLVE.min(p - first));
+        residual = residual.max(solver.solve_in_place(block, &mut scratch, control)?);
     }
-    let pairs = derivatives::pairs(lowest.eigenvalues.len());
-    let eigenvalues = pairs.iter().map(|p| p.map(|i| lowest.eigenvalues[i])).collect();
-    Ok((DerivativeSet { shapes: Arc::new(shapes), pairs, eigenvalues, residual }, loads))
+    let pairs = derivatives::pairs(modes.eigenvalues.len());
+    let eigenvalues = pairs.iter().map(|p| p.map(|i| modes.eigenvalues[i])).collect();
+    Ok(DerivativeSet { shapes: Arc::new(shapes), pairs, eigenvalues, residual })
 }

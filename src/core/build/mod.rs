@@ -38,7 +38,7 @@ pub use transfer::BasisDelta;
 
 use crate::control::{self, Cancelled, Control, Stage};
 use crate::cubature::Rule;
-use crate::derivatives::SOLVE_TOLERANCE;
+use crate::derivatives::{SOLVE_TOLERANCE, right_hand_sides};
 use crate::edit::{Edit, EditState, StitchId};
 use crate::mesh::TetMesh;
 use crate::modes::stitched::{StitchMatrix, StitchedStiffness};
@@ -148,7 +148,7 @@ fn first_draft(
     params::check_seams(state.base(), &params.seams)?;
     let (prepared, derivatives) = match kin.iter().find(|kin| kin.serves(params, state.base())) {
         Some(BaseBody(base)) => {
-            let (derivatives, _) = seams::base_derivatives(base, clock.control)?;
+            let derivatives = seams::base_derivatives(base, clock.control)?;
             clock.finish(Stage::Derivatives)?;
             (base.clone(), derivatives)
         }
@@ -329,7 +329,9 @@ fn from_scratch(
     let tolerance = SOLVE_TOLERANCE;
     let body = Body { model, mass, stitched: &stitched, sigma, rigid: rigid_left, tolerance };
     let count = params.n_derivative_modes.min(kept.eigenvalues.len());
-    let (set, _) = new_derivatives(&body, &kept, Some(&modes), count, clock.control)?;
+    let lowest = kept.lowest(count);
+    let loads = right_hand_sides(model, lowest.shapes.as_ref(), clock.control)?;
+    let set = new_derivatives(&body, &lowest, Some(&modes), loads, clock.control)?;
     clock.finish(Stage::Derivatives)?;
     let LinearModes { shapes, eigenvalues } = kept;
     let spectrum = AuditedSpectrum::converged(eigenvalues, residuals);

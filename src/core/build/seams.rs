@@ -109,14 +109,15 @@ pub(super) fn present(
     Ok(prepared.known_seams().unwrap_or(seams))
 }
 
-/// Modal derivatives of the base body as it is, with their loads (n×p).
+/// Modal derivatives of the base body as it is.
 pub(super) fn base_derivatives(
     prepared: &Prepared,
     control: &dyn Control,
-) -> Result<(DerivativeSet, Mat<f64>), BuildError> {
-    let Prepared { params, model, mass, factor, sigma, spectrum, .. } = prepared;
-    let eigenvalues = spectrum.eigenvalues.clone();
-    let modes = LinearModes { shapes: prepared.modes().to_owned(), eigenvalues };
+) -> Result<DerivativeSet, BuildError> {
+    let Prepared { params, model, mass, factor, sigma, .. } = prepared;
+    let lowest = lowest_modes(prepared, params.n_derivative_modes.min(params.n_modes));
+    let loads = derivatives::right_hand_sides(model, lowest.shapes.as_ref(), control)?;
+    let accurate = correcting_modes(prepared);
     let stitched = StitchedStiffness::new(model, &prepared.stiffness, factor, &[])?;
     let body = Body {
         model,
@@ -126,26 +127,33 @@ pub(super) fn base_derivatives(
         rigid: prepared.rigid(),
         tolerance: LOAD_CASE_TOLERANCE,
     };
-    let count = params.n_derivative_modes.min(params.n_modes);
-    new_derivatives(&body, &modes, Some(&modes), count, control)
+    new_derivatives(&body, &lowest, accurate.as_ref(), loads, control)
+}
+
+/// The `count` lowest elastic modes of the base body, or all of fewer.
+fn lowest_modes(prepared: &Prepared, count: usize) -> LinearModes {
+    let count = count.min(prepared.modes().ncols());
+    LinearModes {
+        shapes: prepared.modes().subcols(0, count).to_owned(),
+        eigenvalues: prepared.spectrum.eigenvalues[..count].to_vec(),
+    }
+}
+
+/// All modes of the base body, where solves with its factor have to be corrected on them.
+fn correcting_modes(prepared: &Prepared) -> Option<LinearModes> {
+    (prepared.sigma > 0.0).then(|| lowest_modes(prepared, prepared.modes().ncols()))
 }
 
 /// No pairs, beside the load cases of the base body as it is.
 fn unseamed(prepared: &Prepared, control: &dyn Control) -> Result<Seams, BuildError> {
     let count = prepared.params.n_derivative_modes.min(prepared.params.n_modes);
-    let eigenvalues = prepared.spectrum.eigenvalues.clone();
-    let modes = LinearModes { shapes: prepared.modes().to_owned(), eigenvalues }.lowest(count);
+    let modes = lowest_modes(prepared, count);
     let kept = prepared.derivatives().clone();
-    let (solutions, loads) = match kept {
-        Some(solutions) => {
-            let shapes = modes.shapes.as_ref();
-            (solutions, derivatives::right_hand_sides(&prepared.model, shapes, control)?)
-        }
-        None => {
-            let (set, loads) = base_derivatives(prepared, control)?;
-            (set.shapes, loads)
-        }
+    let solutions = match kept {
+        Some(solutions) => solutions,
+        None => base_derivatives(prepared, control)?.shapes,
     };
+    let loads = derivatives::right_hand_sides(&prepared.model, modes.shapes.as_ref(), control)?;
     let base = base_modes(prepared);
     let n_x = prepared.rigid().ncols() + prepared.modes().ncols();
     let solutions = Arc::unwrap_or_clone(solutions);
@@ -269,7 +277,7 @@ fn solved_loads(
     tolerance: f64,
     control: &dyn Control,
 ) -> Result<(LinearModes, Mat<f64>, Mat<f64>), BuildError> {
-    let Prepared { model, mass, factor, sigma, spectrum, .. } = prepared;
+    let Prepared { model, mass, factor, sigma, .. } = prepared;
     let count = modes.x.ncols();
     let [_, stiffness] = stitches.grams(modes);
     let energies = (0..count).map(|i| stiffness[(i, i)]).collect();
@@ -278,8 +286,7 @@ fn solved_loads(
 
     // Their loads, solved for on the base body.
     let stitched = StitchedStiffness::new(model, &prepared.stiffness, factor, &[])?;
-    let eigenvalues = spectrum.eigenvalues.clone();
-    let base = LinearModes { shapes: prepared.modes().to_owned(), eigenvalues };
+    let accurate = correcting_modes(prepared);
     let body = Body {
         model,
         mass,
@@ -288,6 +295,7 @@ fn solved_loads(
         rigid: prepared.rigid(),
         tolerance,
     };
-    let (set, loads) = new_derivatives(&body, &modes, Some(&base), count, control)?;
+    let loads = derivatives::right_hand_sides(model, modes.shapes.as_ref(), control)?;
+    let set = new_derivatives(&body, &modes, accurate.as_ref(), loads.clone(), control)?;
     Ok((modes, loads, Arc::unwrap_or_clone(set.shapes)))
 }

@@ -105,7 +105,7 @@ impl Columns {
         }
         finite(&self.values, what)?;
         let mut m = Mat::zeros(n_rows, self.n_columns);
-        linalg::for_each_column(&mut m, |j, column| {
+        linalg::for_each_column(m.as_mut(), |j, column| {
             column.copy_from_slice(&self.values[j * n_rows..][..n_rows]);
         });
         Ok(m)

@@ -33,7 +33,7 @@ impl Everywhere {
         }
         let basis = |artifacts: &Artifacts| {
             let mut all = Mat::zeros(3 * model.mesh().vertices().len(), artifacts.basis_size());
-            linalg::for_each_column(&mut all, |j, column| {
+            linalg::for_each_column(all.as_mut(), |j, column| {
                 column.copy_from_slice(&artifacts.basis_column(j));
             });
             all

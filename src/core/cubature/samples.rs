@@ -167,7 +167,7 @@ impl<'a> Samples<'a> {
     /// One sketched column for each point of `rule` (rows of the sketch × points).
     pub(super) fn columns(&self, rule: &Rule, sketch: &Sketch) -> Mat<f64> {
         let mut columns = Mat::<f64>::zeros(sketch.n_rows, rule.tets.len());
-        linalg::for_each_column(&mut columns, |point, column| {
+        linalg::for_each_column(columns.as_mut(), |point, column| {
             sketch.add(self.contribution(rule, point).as_ref(), column);
         });
         columns

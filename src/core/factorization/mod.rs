@@ -262,7 +262,7 @@ mod tests {
             assert!(close(half.transpose_times(x.as_ref()), dense.transpose() * &x), "{k}");
             let z = Mat::from_fn(k, 2, |i, j| ((i + 7 * j) as f64).sin());
             let mut sum = x.clone();
-            half.add_times(&mut sum, 2.0, z.as_ref());
+            half.add_times(sum.as_mut(), 2.0, z.as_ref());
             assert!(close(sum, x + faer::Scale(2.0) * &dense * &z), "{k}");
         }
         assert!(factor.forward_sparse(&[vec![(0, 1.0)]]).n_rows() < n / 2);

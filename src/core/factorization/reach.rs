@@ -4,7 +4,7 @@
 use super::SparseCholesky;
 use super::solve;
 use crate::linalg;
-use faer::{Mat, MatRef};
+use faer::{Mat, MatMut, MatRef};
 
 /// L⁻¹A without the rows that no entry of A reaches, which are zero.
 #[derive(Debug)]
@@ -37,7 +37,7 @@ impl ReachedRows {
     /// `(L⁻¹A)ᵀX` of all rows of X.
     pub fn transpose_times(&self, x: MatRef<'_, f64>) -> Mat<f64> {
         let mut some = Mat::zeros(self.rows.len(), x.ncols());
-        linalg::for_each_column(&mut some, |j, some| {
+        linalg::for_each_column(some.as_mut(), |j, some| {
             let column = x.col(j);
             some.iter_mut().zip(&self.rows).for_each(|(x, &row)| *x = column[row as usize]);
         });
@@ -45,7 +45,7 @@ impl ReachedRows {
     }
 
     /// `X += alpha·L⁻¹A·Z` on all rows of X.
-    pub fn add_times(&self, x: &mut Mat<f64>, alpha: f64, z: MatRef<'_, f64>) {
+    pub fn add_times(&self, x: MatMut<'_, f64>, alpha: f64, z: MatRef<'_, f64>) {
         let mut product = Mat::zeros(self.rows.len(), z.ncols());
         linalg::add_product(product.as_mut(), alpha, self.values.as_ref(), z);
         linalg::for_each_column(x, |j, x| {

@@ -139,7 +139,7 @@ impl SparseJob<'_> {
             }
             solver.forward();
             let x = &solver.x;
-            linalg::for_each_column(half, |column, half| {
+            linalg::for_each_column(half.as_mut(), |column, half| {
                 if let Some(lane) = chosen.iter().position(|&other| other == column) {
                     half.iter_mut().zip(rows).for_each(|(h, &row)| *h = x[row as usize][lane]);
                 }
@@ -216,22 +216,14 @@ impl<'a, const N: usize> Solver<'a, N> {
     fn scatter(&self, b: MatMut<'_, f64>, position: &[u32]) {
         let size = self.symbolic.size();
         let chunks = b.par_row_chunks_mut(VERTICES_PER_TASK * size);
-        chunks.zip(position.par_chunks(VERTICES_PER_TASK)).for_each(|(mut b, position)| {
-            let k = b.ncols();
-            for first in (0..k).step_by(LANES) {
-                let some = b.as_mut().subcols_mut(first, LANES.min(k - first));
-                let mut columns: Vec<&mut [f64]> = some
-                    .col_iter_mut()
-                    .filter_map(|column| column.try_as_col_major_mut())
-                    .map(|column| column.as_slice_mut())
-                    .collect();
-                for (v, &at) in position.iter().enumerate() {
-                    for axis in 0..size {
-                        let line = &self.x[size * at as usize + axis][first..];
-                        for (column, x) in columns.iter_mut().zip(line) {
-                            column[size * v + axis] = *x;
-                        }
-                    }
+        chunks.zip(position.par_chunks(VERTICES_PER_TASK)).for_each(|(b, position)| {
+            // Rows of a vertex lie together: first all of them, then column by column.
+            let mut rows = Vec::new();
+            copy_rows(&self.x, 0, position, &mut rows, size);
+            for (j, column) in b.col_iter_mut().enumerate() {
+                if let Some(column) = column.try_as_col_major_mut() {
+                    let column = column.as_slice_mut().iter_mut();
+                    column.zip(&rows).for_each(|(b, row)| *b = row[j]);
                 }
             }
         });

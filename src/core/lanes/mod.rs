@@ -128,13 +128,67 @@ pub fn weighted_gram(
             sums
         })
         .collect();
-    let mut sums = vec![[0.0; LANES]; LANES * x.len()];
+    let sums = sum_of(parts, LANES * x.len());
+    Mat::from_fn(LANES * x.len(), LANES, |i, j| sums[i][j])
+}
+
+/// `XᵀDX` of a tall matrix (n×k → k×k), D being diagonal with `weight(i)` in row i. Columns are put abreast a chunk of
+/// rows at a time; only blocks of the lower triangle are multiplied out. Of 230 columns of
+/// 105 264 rows this takes 0.07 s; products of the same blocks by faer took 0.12 to 0.17.
+pub fn weighted_square(x: MatRef<'_, f64>, weight: impl Fn(usize) -> f64 + Sync) -> Mat<f64> {
+    let (n, k) = (x.nrows(), x.ncols());
+    let n_blocks = k.div_ceil(LANES);
+    let n_pairs = n_blocks * (n_blocks + 1) / 2;
+    let task_rows = CHUNK * CHUNKS_PER_TASK;
+    let parts: Vec<Vec<Lanes>> = (0..n.div_ceil(task_rows))
+        .into_par_iter()
+        .map(|task| {
+            let mut sums = vec![[0.0; LANES]; LANES * n_pairs];
+            let mut blocks = vec![[[0.0; LANES]; CHUNK]; n_blocks];
+            let mut weighted = [[0.0; LANES]; CHUNK];
+            for begin in (task * task_rows..n.min((task + 1) * task_rows)).step_by(CHUNK) {
+                let rows = CHUNK.min(n - begin);
+                for (j, column) in x.subrows(begin, rows).col_iter().enumerate() {
+                    let block = blocks[j / LANES].iter_mut();
+                    block.zip(column.iter()).for_each(|(row, x)| row[j % LANES] = *x);
+                }
+                let mut pairs = sums.as_chunks_mut().0.iter_mut();
+                for (right, block) in blocks.iter().enumerate() {
+                    for (i, (weighted, y)) in weighted.iter_mut().zip(block).enumerate().take(rows)
+                    {
+                        let weight = weight(begin + i);
+                        *weighted = y.map(|y| weight * y);
+                    }
+                    let y = &weighted[..rows];
+                    for (left, sums) in blocks[right..].iter().zip(&mut pairs) {
+                        dispatch(AddGram { x: &left[..rows], next: &left[..rows], y, sums });
+                    }
+                }
+            }
+            sums
+        })
+        .collect();
+    let sums = sum_of(parts, LANES * n_pairs);
+    // Pairs of the columns of blocks before `right`: n_blocks + (n_blocks − 1) + …
+    let pair = |left: usize, right: usize| {
+        right * n_blocks - right * right.saturating_sub(1) / 2 + left - right
+    };
+    Mat::from_fn(k, k, |i, j| {
+        let (i, j) = (i.max(j), i.min(j));
+        // Of two columns of one block both products are there; they differ in rounding.
+        sums[LANES * pair(i / LANES, j / LANES) + i % LANES][j % LANES]
+    })
+}
+
+/// The sum, in their order, of parts of this length.
+fn sum_of(parts: Vec<Vec<Lanes>>, length: usize) -> Vec<Lanes> {
+    let mut sums = vec![[0.0; LANES]; length];
     for part in parts {
         for (sum, part) in sums.as_flattened_mut().iter_mut().zip(part.as_flattened()) {
             *sum += part;
         }
     }
-    Mat::from_fn(LANES * x.len(), LANES, |i, j| sums[i][j])
+    sums
 }
 
 /// `Y ← Y − XC` with C (k×l; k ≤ 8·blocks, l ≤ 8) small, continued with zeros.
@@ -259,6 +313,12 @@ mod tests {
             });
             assert!((gram.get(..19, ..5) - exact).norm_max() < 1e-12 * n as f64);
             assert!(gram.get(19.., ..).norm_max() == 0.0 && gram.get(.., 5..).norm_max() == 0.0);
+
+            let square = weighted_square(x.as_ref(), weight);
+            let exact = Mat::from_fn(19, 19, |a, b| {
+                (0..n).map(|i| x[(i, a)] * weight(i) * x[(i, b)]).sum::<f64>()
+            });
+            assert!((square - exact).norm_max() < 1e-12 * n as f64);
 
             let c = Mat::from_fn(19, 5, |i, j| ((i + 2 * j) as f64).cos());
             let mut rest = lanes.clone();

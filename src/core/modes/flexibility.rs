@@ -203,7 +203,7 @@ impl<'a> TrialSpace<'a> {
         let Candidate { t, weighted, .. } = candidate;
         let mut stiff = problem.stitched.multiply(t.as_ref());
         if problem.sigma != 0.0 {
-            linalg::for_each_column(&mut stiff, |j, stiff| {
+            linalg::for_each_column(stiff.as_mut(), |j, stiff| {
                 for (k, m) in stiff.iter_mut().zip(weighted.col_as_slice(j)) {
                     *k += problem.sigma * m;
                 }

@@ -431,7 +431,7 @@ impl<'a> Krylov<'a> {
         let stream = self.n_random;
         self.n_random += count as u64;
         let mut columns = Mat::zeros(self.problem.factor.n(), count);
-        linalg::for_each_column(&mut columns, |j, column| {
+        linalg::for_each_column(columns.as_mut(), |j, column| {
             let mut random = ChaCha8Rng::seed_from_u64(0x5);
             random.set_stream(stream + j as u64);
             column.iter_mut().for_each(|x| *x = random.random::<f64>() - 0.5);

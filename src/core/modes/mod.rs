@@ -158,7 +158,7 @@ pub fn residual_vectors(
 ) -> Mat<f64> {
     let mut residual = stiffness_times_shapes;
     let ms = mass.multiply(shapes);
-    linalg::for_each_column(&mut residual, |j, residual| {
+    linalg::for_each_column(residual.as_mut(), |j, residual| {
         for (r, m) in residual.iter_mut().zip(ms.col_as_slice(j)) {
             *r -= eigenvalues[j] * m;
         }

@@ -10,7 +10,7 @@ use crate::dictionary::Combination;
 use crate::edit::{Stitch, sorted};
 use crate::factorization::{ReachedRows, SparseCholesky};
 use crate::linalg::{self, DenseError, SmallCholesky};
-use faer::{Mat, MatRef};
+use faer::{Mat, MatMut, MatRef};
 use rayon::prelude::*;
 
 /// The matrix A of a set of stitches, as free indices: `None` for an end that is fixed.
@@ -68,9 +68,9 @@ impl StitchMatrix {
     }
 
     /// `Y += A·Z` (Z is 3s×k).
-    pub fn add_times(&self, y: &mut Mat<f64>, z: MatRef<'_, f64>) {
+    pub fn add_times(&self, mut y: MatMut<'_, f64>, z: MatRef<'_, f64>) {
         for column in 0..z.ncols() {
-            let y = y.col_as_slice_mut(column);
+            let mut y = y.as_mut().col_mut(column);
             for (s, ends) in self.ends.iter().enumerate() {
                 for (end, sign) in ends.iter().zip([1.0, -1.0]) {
                     let Some(v) = end else { continue };
@@ -86,7 +86,10 @@ impl StitchMatrix {
     /// A as a dense matrix (n×3s).
     pub fn dense(&self, n: usize) -> Mat<f64> {
         let mut a = Mat::zeros(n, self.n_columns());
-        self.add_times(&mut a, Mat::<f64>::identity(self.n_columns(), self.n_columns()).as_ref());
+        self.add_times(
+            a.as_mut(),
+            Mat::<f64>::identity(self.n_columns(), self.n_columns()).as_ref(),
+        );
         a
     }
 
@@ -154,33 +157,49 @@ impl<'a> StitchedStiffness<'a> {
     /// `K_σ⁻¹A (I + C)⁻¹ Z` (3s×k → n×k).
     pub fn flexed(&self, z: MatRef<'_, f64>) -> Mat<f64> {
         let mut x = Mat::zeros(self.factor.n(), z.ncols());
-        self.half.add_times(&mut x, 1.0, self.capacitance.solve(z).as_ref());
+        self.half.add_times(x.as_mut(), 1.0, self.capacitance.solve(z).as_ref());
         self.factor.backward_in_place(x.as_mut());
         x
     }
 
     /// `K̂X`.
     pub fn multiply(&self, x: MatRef<'_, f64>) -> Mat<f64> {
-        let mut y = self.stiffness.multiply(x);
-        self.a.add_times(&mut y, self.a.transpose_times(x).as_ref());
+        let mut y = Mat::zeros(x.nrows(), x.ncols());
+        self.multiply_into(y.as_mut(), x);
         y
     }
 
-    /// `K̂_σ⁻¹B`: the stitches take their part between the two halves of the solve.
-    pub fn solve(&self, b: MatRef<'_, f64>) -> Mat<f64> {
-        self.backward(self.forward(b))
+    /// `Y ← K̂X`.
+    pub fn multiply_into(&self, mut y: MatMut<'_, f64>, x: MatRef<'_, f64>) {
+        self.stiffness.multiply_into(y.as_mut(), x);
+        self.a.add_times(y, self.a.transpose_times(x).as_ref());
+    }
+
+    /// Overwrites B by `K̂_σ⁻¹B`: the stitches take their part between the two halves of the solve.
+    pub fn solve_in_place(&self, mut b: MatMut<'_, f64>) {
+        if self.a.n_columns() == 0 {
+            return self.factor.solve_in_place(b);
+        }
+        self.forward_in_place(b.as_mut());
+        self.factor.backward_in_place(b);
     }
 
     /// The first half of a solve for B (n×k), which tells the energies BᵀK̂_σ⁻¹B.
     pub fn forward(&self, b: MatRef<'_, f64>) -> HalfSolution {
         let mut x = b.to_owned();
-        self.factor.forward_in_place(x.as_mut());
-        if self.a.n_columns() == 0 {
-            return HalfSolution { x, z: Mat::zeros(0, b.ncols()) };
-        }
-        let z = self.capacitance.solve(self.half.transpose_times(x.as_ref()).as_ref());
-        self.half.add_times(&mut x, -1.0, z.as_ref());
+        let z = self.forward_in_place(x.as_mut());
         HalfSolution { x, z }
+    }
+
+    /// Overwrites B by the x of a [`HalfSolution`]; returns its z.
+    fn forward_in_place(&self, mut b: MatMut<'_, f64>) -> Mat<f64> {
+        self.factor.forward_in_place(b.as_mut());
+        if self.a.n_columns() == 0 {
+            return Mat::zeros(0, b.ncols());
+        }
+        let z = self.capacitance.solve(self.half.transpose_times(b.as_ref()).as_ref());
+        self.half.add_times(b, -1.0, z.as_ref());
+        z
     }
 
     /// The second half.

@@ -158,7 +158,7 @@ impl Elastic for StitchedBody<'_> {
 
     fn force(&self, u: &[f64]) -> Vec<f64> {
         let mut force = self.model.internal_forces(column(u));
-        self.stitches.add_times(&mut force, self.stitches.transpose_times(column(u)).as_ref());
+        self.stitches.add_times(force.as_mut(), self.stitches.transpose_times(column(u)).as_ref());
         force.col_as_slice(0).to_vec()
     }
 

@@ -52,7 +52,7 @@ fn rayleigh_quotients(body: &Artifacts) -> Vec<f64> {
     let shapes = shapes(body, body.n_modes());
     let mut product = model.rest_stiffness(&Arc::new(model.pattern(&[]))).multiply(shapes.as_ref());
     let a = StitchMatrix::new(model, body.stitches());
-    a.add_times(&mut product, a.transpose_times(shapes.as_ref()).as_ref());
+    a.add_times(product.as_mut(), a.transpose_times(shapes.as_ref()).as_ref());
     (0..shapes.ncols()).map(|j| shapes.col(j).transpose() * product.col(j)).collect()
 }
 
