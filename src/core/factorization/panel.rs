@@ -171,11 +171,16 @@ pub(super) fn solve_forward<const N: usize>(
         let (solved, rest) = x[first..].split_at_mut(size);
         dispatch(Forward { panel, first, x: solved, below: &mut [] });
         let solved = &*solved;
-        for (y, row) in [(rest, first + size), (&mut *below, width)] {
-            y.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, y)| {
-                dispatch(Subtract { panel, first, row: row + chunk * CHUNK, x: solved, y });
-            });
-        }
+        let chunks = |y, begin| {
+            let chunks = <[Row<N>]>::chunks_mut(y, CHUNK).enumerate();
+            chunks.map(move |(chunk, y)| (begin + chunk * CHUNK, y))
+        };
+        // One loop for both: threads meet as often as there are loops, for 10 to 20 µs.
+        let below = chunks(&mut *below, width);
+        let all: Vec<(usize, &mut [Row<N>])> = chunks(rest, first + size).chain(below).collect();
+        all.into_par_iter().for_each(|(row, y)| {
+            dispatch(Subtract { panel, first, row, x: solved, y });
+        });
     }
 }
 

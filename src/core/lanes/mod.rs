@@ -191,27 +191,38 @@ fn sum_of(parts: Vec<Vec<Lanes>>, length: usize) -> Vec<Lanes> {
     sums
 }
 
-/// `Y ← Y − XC` with C (k×l; k ≤ 8·blocks, l ≤ 8) small, continued with zeros.
-pub fn subtract_product(y: &mut LaneBlock, x: &[LaneBlock], c: MatRef<'_, f64>) {
-    assert!(x.iter().all(|x| x.n() == y.n()));
-    assert!(c.nrows() <= LANES * x.len() && c.ncols() <= LANES);
-    let mut coefficients = vec![[[0.0; LANES]; LANES]; c.nrows().div_ceil(LANES)];
+/// `Y ← Y − XC` with C (k×l; k ≤ 8·blocks of X, l ≤ 8·blocks of Y) small, continued with zeros.
+pub fn subtract_product(y: &mut [LaneBlock], x: &[LaneBlock], c: MatRef<'_, f64>) {
+    let n = y.first().map_or(0, LaneBlock::n);
+    assert!(x.iter().chain(&*y).all(|block| block.n() == n));
+    assert!(c.nrows() <= LANES * x.len() && c.ncols() <= LANES * y.len());
+    let n_used = c.nrows().div_ceil(LANES);
+    let mut coefficients = vec![[[0.0; LANES]; LANES]; n_used * y.len()];
     for j in 0..c.ncols() {
         for i in 0..c.nrows() {
-            coefficients[i / LANES][i % LANES][j] = c[(i, j)];
+            coefficients[j / LANES * n_used + i / LANES][i % LANES][j % LANES] = c[(i, j)];
         }
     }
-    let (x, coefficients) = (&x[..coefficients.len()], &coefficients);
-    let tasks = y.rows.par_chunks_mut(CHUNK * CHUNKS_PER_TASK).enumerate();
-    tasks.for_each(|(task, y)| {
-        for (chunk, y) in y.chunks_mut(CHUNK).enumerate() {
-            let begin = (task * CHUNKS_PER_TASK + chunk) * CHUNK;
-            let end = begin + y.len();
-            let rows = |block: usize| &x[block].rows[begin..end];
-            for (block, c) in coefficients.iter().enumerate() {
-                let next = rows(if block + 1 < x.len() { block + 1 } else { block });
-                let (x, y) = (rows(block), &mut *y);
-                dispatch(SubtractProduct { x, next, c, y });
+    let x = &x[..n_used];
+    // A chunk of X is read once for all blocks of Y.
+    let mut tasks: Vec<Vec<&mut [Lanes]>> = Vec::new();
+    tasks.resize_with(n.div_ceil(CHUNK * CHUNKS_PER_TASK), Vec::new);
+    for block in y {
+        let parts = block.rows.chunks_mut(CHUNK * CHUNKS_PER_TASK);
+        tasks.iter_mut().zip(parts).for_each(|(task, part)| task.push(part));
+    }
+    tasks.into_par_iter().enumerate().for_each(|(task, mut y)| {
+        let n_rows = y.first().map_or(0, |y| y.len());
+        for first in (0..n_rows).step_by(CHUNK) {
+            let end = n_rows.min(first + CHUNK);
+            let begin = task * CHUNK * CHUNKS_PER_TASK;
+            let rows = |block: usize| &x[block].rows[begin + first..begin + end];
+            for (y, coefficients) in y.iter_mut().zip(coefficients.chunks(n_used.max(1))) {
+                for (block, c) in coefficients.iter().enumerate() {
+                    let next = rows(if block + 1 < x.len() { block + 1 } else { block });
+                    let (x, y) = (rows(block), &mut y[first..end]);
+                    dispatch(SubtractProduct { x, next, c, y });
+                }
             }
         }
     });
@@ -294,6 +305,7 @@ impl WithSimd for SubtractProduct<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::slice;
 
     #[test]
     fn products_are_those_of_columns() {
@@ -322,10 +334,21 @@ mod tests {
 
             let c = Mat::from_fn(19, 5, |i, j| ((i + 2 * j) as f64).cos());
             let mut rest = lanes.clone();
-            subtract_product(&mut rest, &blocks, c.as_ref());
+            subtract_product(slice::from_mut(&mut rest), &blocks, c.as_ref());
             let mut found = Mat::from_fn(n, 5, |_, _| f64::NAN);
             rest.copy_to(found.as_mut());
             assert!((found - (&y - &x * &c)).norm_max() < 1e-13);
+
+            // More than one block.
+            let c = Mat::from_fn(19, 11, |i, j| ((i + 2 * j) as f64).cos());
+            let mut product = vec![LaneBlock::zeros(n), LaneBlock::zeros(n)];
+            subtract_product(&mut product, &blocks, c.as_ref());
+            for (first, block) in [(0, &product[0]), (8, &product[1])] {
+                let mut found = Mat::zeros(n, LANES.min(11 - first));
+                block.copy_to(found.as_mut());
+                let exact = &x * c.subcols(first, found.ncols());
+                assert!((found + exact).norm_max() < 1e-13);
+            }
         }
     }
 }

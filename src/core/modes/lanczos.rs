@@ -302,17 +302,16 @@ impl<'a> Krylov<'a> {
     fn modes(self, pairs: &RitzPairs) -> AuditedModes {
         let (dim, count) = (self.dim, pairs.shifted.len());
         let u_last = pairs.coefficients.subrows(dim - self.width, self.width);
-        let mut shapes = Mat::zeros(self.problem.factor.n(), count);
-        for first in (0..count).step_by(LANES) {
-            let size = LANES.min(count - first);
-            let mut some = LaneBlock::zeros(shapes.nrows());
-            let minus = -pairs.in_basis.subcols(first, size);
-            lanes::subtract_product(&mut some, &self.basis, minus.as_ref());
-            let minus = -u_last.subcols(first, size);
-            lanes::subtract_product(&mut some, slice::from_ref(&self.remainder), minus.as_ref());
-            let position = self.problem.factor.symbolic().position();
-            let some = some.by_vertices(|vertex| position[vertex] as usize);
-            some.copy_to(shapes.as_mut().subcols_mut(first, size));
+        let n = self.problem.factor.n();
+        let mut blocks = vec![LaneBlock::zeros(n); count.div_ceil(LANES)];
+        lanes::subtract_product(&mut blocks, &self.basis, (-&pairs.in_basis).as_ref());
+        lanes::subtract_product(&mut blocks, slice::from_ref(&self.remainder), (-u_last).as_ref());
+        drop(self.basis);
+        let position = self.problem.factor.symbolic().position();
+        let mut shapes = Mat::zeros(n, count);
+        for (first, block) in (0..count).step_by(LANES).zip(blocks) {
+            let shapes = shapes.as_mut().subcols_mut(first, LANES.min(count - first));
+            block.by_vertices(|vertex| position[vertex] as usize).copy_to(shapes);
         }
         let eigenvalues = pairs.shifted.iter().map(|mu| mu - self.problem.sigma).collect();
         let modes = LinearModes { shapes, eigenvalues };
@@ -365,7 +364,7 @@ impl<'a> Krylov<'a> {
         let kept = coupling.nrows();
         if kept < width {
             let block = slice::from_ref(&new);
-            lanes::subtract_product(&mut self.remainder, block, coupling.as_ref());
+            lanes::subtract_product(slice::from_mut(&mut self.remainder), block, coupling.as_ref());
             let left = self::gram(mass, &self.remainder, width);
             self.lost += (0..width).map(|i| left[(i, i)].max(0.0)).sum::<f64>().sqrt();
         }
@@ -443,7 +442,7 @@ impl<'a> Krylov<'a> {
 /// W ← W − P PᵀMW; returns PᵀMW.
 fn take_out(mass: &Mass, w: &mut LaneBlock, p: &[LaneBlock]) -> Mat<f64> {
     let c = mass.inner_lanes(p, w);
-    lanes::subtract_product(w, p, c.as_ref());
+    lanes::subtract_product(slice::from_mut(w), p, c.as_ref());
     c
 }
 
@@ -455,6 +454,6 @@ fn gram(mass: &Mass, x: &LaneBlock, width: usize) -> Mat<f64> {
 /// `XC`.
 fn turned(x: &LaneBlock, c: MatRef<'_, f64>) -> LaneBlock {
     let mut y = LaneBlock::zeros(x.n());
-    lanes::subtract_product(&mut y, slice::from_ref(x), (-c).as_ref());
+    lanes::subtract_product(slice::from_mut(&mut y), slice::from_ref(x), (-c).as_ref());
     y
 }
