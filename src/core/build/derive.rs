@@ -2,7 +2,6 @@
 
 use super::params::BuildError;
 use super::span::DerivativeSet;
-use crate::assembly::FullModel;
 use crate::assembly::mass::Mass;
 use crate::control::{self, Control};
 use crate::derivatives::{self, Scratch};
@@ -13,7 +12,6 @@ use std::sync::Arc;
 
 /// What the derivative stage needs of a (stitched) body.
 pub(super) struct Body<'a> {
-    pub(super) model: &'a FullModel,
     pub(super) mass: &'a Mass,
     pub(super) stitched: &'a StitchedStiffness<'a>,
     pub(super) sigma: f64,

@@ -327,7 +327,7 @@ fn from_scratch(
     let stitched = StitchedStiffness::new(model, &stiffness, &factor, &[])?;
     let rigid_left = rigid.as_ref();
     let tolerance = SOLVE_TOLERANCE;
-    let body = Body { model, mass, stitched: &stitched, sigma, rigid: rigid_left, tolerance };
+    let body = Body { mass, stitched: &stitched, sigma, rigid: rigid_left, tolerance };
     let count = params.n_derivative_modes.min(kept.eigenvalues.len());
     let lowest = kept.lowest(count);
     let loads = right_hand_sides(model, lowest.shapes.as_ref(), clock.control)?;

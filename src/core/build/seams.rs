@@ -120,7 +120,6 @@ pub(super) fn base_derivatives(
     let accurate = correcting_modes(prepared);
     let stitched = StitchedStiffness::new(model, &prepared.stiffness, factor, &[])?;
     let body = Body {
-        model,
         mass,
         stitched: &stitched,
         sigma: *sigma,
@@ -288,7 +287,6 @@ fn solved_loads(
     let stitched = StitchedStiffness::new(model, &prepared.stiffness, factor, &[])?;
     let accurate = correcting_modes(prepared);
     let body = Body {
-        model,
         mass,
         stitched: &stitched,
         sigma: *sigma,

@@ -260,7 +260,6 @@ fn refined(
     clock.finish(Stage::Modes)?;
 
     let body = Body {
-        model,
         mass,
         stitched: &stitched,
         sigma: *sigma,

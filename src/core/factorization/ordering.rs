@@ -4,8 +4,8 @@
 //! The steps of a bisection are those of feral-metis, in pure Rust: METIS itself replaces the process's signal
 //! handlers while it runs. The recursion is ours, so that the sides of a separator are ordered side by side and
 //! the largest separators, which decide the cost of a factorization, are the better of two. Measured against
-//! feral-scotch with its own recursion, on four bodies of 11 000 to 55 000 vertices: six to eight tenths of the time,
-//! 4 to 14 % fewer operations.
+//! feral-scotch with its own recursion, on four bodies of 11 000 to 55 000 vertices: seven to eight tenths of the time,
+//! 4 to 9 % fewer operations.
 
 use super::FactorizationError;
 use crate::assembly::sparse::Pattern;
@@ -21,8 +21,8 @@ use feral_metis::internals::separator::construct_separator;
 use feral_metis::{CscPattern, OrderingError};
 use rayon::prelude::*;
 
-/// Graphs up to this size are ordered by minimum degree: 200 costs a tenth more time and saves 1 % of the
-/// operations, 800 saves a tenth of the time and costs 4 % more.
+/// Graphs up to this size are ordered by minimum degree: 200 costs 5 to 30 % more time and saves 1 to 4 % of the
+/// operations; 800 takes a tenth less time than 400 and costs 4 to 10 % more operations.
 const DISSECTED_FROM: usize = 300;
 
 /// Bisections are nested this deep at most; a graph that cannot be dissected must not exhaust the stack.
@@ -35,7 +35,7 @@ const LEVELS_WITH_TRIALS: usize = 2;
 /// A side may be this much heavier than half.
 const MOST_IMBALANCE: f64 = 0.1;
 
-/// Size of the coarsest graphs. Of 60 to 400 this is the best on two of four bodies (3 and 5 % fewer operations
+/// Size of the coarsest graphs. Of 60 to 400 this is the best on two of four bodies (2 and 4 % fewer operations
 /// than 100) and within 1 % on the others.
 const COARSEST: u32 = 200;
 
