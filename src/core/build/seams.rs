@@ -286,13 +286,8 @@ fn solved_loads(
     // Their loads, solved for on the base body.
     let stitched = StitchedStiffness::new(model, &prepared.stiffness, factor, &[])?;
     let accurate = correcting_modes(prepared);
-    let body = Body {
-        mass,
-        stitched: &stitched,
-        sigma: *sigma,
-        rigid: prepared.rigid(),
-        tolerance,
-    };
+    let body =
+        Body { mass, stitched: &stitched, sigma: *sigma, rigid: prepared.rigid(), tolerance };
     let loads = derivatives::right_hand_sides(model, modes.shapes.as_ref(), control)?;
     let set = new_derivatives(&body, &modes, accurate.as_ref(), loads.clone(), control)?;
     Ok((modes, loads, Arc::unwrap_or_clone(set.shapes)))
