@@ -1,20 +1,21 @@
 //! Supernodal triangular solves of a block of right-hand sides, on all cores.
 //!
 //! The block is held by rows in the permuted order, so that what a supernode adds to or reads from
-//! the rows below it is contiguous. Subtrees of the elimination forest are solved side by side; what
-//! they owe to the rows above them is added up afterwards, in their order. Each block of columns
+//! the rows below it is contiguous. Subtrees of the elimination forest are solved side by side, then the branches above
+//! them; what they owe to the rows above them is added up afterwards, in their order. Each block of columns
 //! reads the factor twice, and that traffic bounds the time.
 //!
 //! Supernodes that the right-hand sides do not reach are skipped on the way down: a stitch reaches
 //! a path to the root of the elimination tree, a few separators out of thousands of supernodes.
 
 use super::panel::{self, Panel, Threads};
-use super::symbolic::{Piece, SymbolicCholesky};
+use super::symbolic::{Branch, Schedule, SymbolicCholesky};
 use crate::lanes::kernels::Row;
 use crate::lanes::{LANES, LaneBlock};
 use crate::linalg;
 use faer::{Mat, MatMut, MatRef};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Which of the two triangles to solve with. Between them rows lie in the permuted order.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -229,24 +230,26 @@ impl<'a, const N: usize> Solver<'a, N> {
         });
     }
 
-    /// The pieces with their rows of `x`.
-    fn split<'x>(&self, x: &'x mut [Row<N>]) -> Vec<(&'a Piece, &'x mut [Row<N>])> {
+    /// The branches of a stage with their rows of `x`.
+    fn split<'x>(
+        &self,
+        stage: &'a [Branch],
+        x: &'x mut [Row<N>],
+    ) -> Vec<(&'a Branch, &'x mut [Row<N>])> {
         let size = self.symbolic.size();
-        let mut rest = x;
-        self.symbolic
-            .pieces()
-            .iter()
-            .map(|piece| {
-                let count = self.symbolic.columns_of(piece).len() * size;
-                let (own, after) = std::mem::take(&mut rest).split_at_mut(count);
-                rest = after;
-                (piece, own)
-            })
-            .collect()
+        let (mut rest, mut begin) = (x, 0);
+        let own = |branch: &'a Branch| {
+            let Range { start, end } = branch.columns;
+            let (_, after) = std::mem::take(&mut rest).split_at_mut(size * (start - begin));
+            let (own, after) = after.split_at_mut(size * (end - start));
+            (rest, begin) = (after, end);
+            (branch, own)
+        };
+        stage.iter().map(own).collect()
     }
 
     /// A supernode's panel, and where its rows lie in `x` that starts at vertex `first`.
-    fn panel(&self, supernode: usize, first: usize) -> (Panel<'a>, std::ops::Range<usize>) {
+    fn panel(&self, supernode: usize, first: usize) -> (Panel<'a>, Range<usize>) {
         let (width, depth) = self.symbolic.width_and_depth(supernode);
         let supernode = &self.symbolic.supernodes()[supernode];
         let start = (supernode.columns.start - first) * self.symbolic.size();
@@ -258,20 +261,22 @@ impl<'a, const N: usize> Solver<'a, N> {
     fn forward(&mut self) {
         let (symbolic, size) = (self.symbolic, self.symbolic.size());
         let mut x = std::mem::take(&mut self.x);
-        let owed: Vec<Option<Vec<Row<N>>>> = self
-            .split(&mut x)
-            .into_par_iter()
-            .with_max_len(1)
-            .map(|(piece, x)| if piece.is_subtree { self.forward_subtree(piece, x) } else { None })
-            .collect();
-        for (piece, owed) in symbolic.pieces().iter().zip(owed) {
-            if let Some(owed) = owed {
-                add_rows(&mut x, 0, symbolic.rows(piece.supernodes.end - 1), &owed, size);
+        let Schedule { stages, shared } = symbolic.schedule();
+        for stage in stages {
+            let owed: Vec<Option<Vec<Row<N>>>> = self
+                .split(stage, &mut x)
+                .into_par_iter()
+                .with_max_len(1)
+                .map(|(branch, x)| self.forward_branch(branch, x))
+                .collect();
+            for (branch, owed) in stage.iter().zip(owed) {
+                if let Some(owed) = owed {
+                    add_rows(&mut x, 0, symbolic.rows(branch.root()), &owed, size);
+                }
             }
         }
         let mut below = Vec::new();
-        for piece in symbolic.pieces().iter().filter(|piece| !piece.is_subtree) {
-            let s = piece.supernodes.start;
+        for &s in shared {
             if !is_reached(&x[self.panel(s, 0).1]) {
                 continue;
             }
@@ -281,30 +286,19 @@ impl<'a, const N: usize> Solver<'a, N> {
         self.x = x;
     }
 
-    /// X ← L⁻¹X on the rows of one subtree; returns what is to be added to the rows below its root,
+    /// X ← L⁻¹X on the rows of one branch; returns what is to be added to the rows below its root,
     /// unless the right-hand sides do not reach it.
-    fn forward_subtree(&self, piece: &Piece, x: &mut [Row<N>]) -> Option<Vec<Row<N>>> {
+    fn forward_branch(&self, branch: &Branch, x: &mut [Row<N>]) -> Option<Vec<Row<N>>> {
         let (symbolic, size) = (self.symbolic, self.symbolic.size());
-        let columns = symbolic.columns_of(piece);
-        let root_rows = symbolic.rows(piece.supernodes.end - 1);
-        let first = piece.supernodes.start;
-        let mut reached: Vec<bool> = piece
-            .supernodes
-            .clone()
-            .map(|s| is_reached(&x[self.panel(s, columns.start).1]))
-            .collect();
-        let mut owed = vec![[0.0; N]; root_rows.len() * size];
+        let columns = branch.columns.clone();
+        let root_rows = symbolic.rows(branch.root());
+        let mut owed = None;
         let mut below = Vec::new();
-        for s in piece.supernodes.clone() {
-            if !reached[s - first] {
+        for &s in &branch.supernodes {
+            if !is_reached(&x[self.panel(s, columns.start).1]) {
                 continue;
             }
-            // The rest of the rows below belong to ancestors of the parent: reached through it.
-            if let Some(parent) = symbolic.supernodes()[s].parent
-                && let Some(parent) = reached.get_mut(parent - first)
-            {
-                *parent = true;
-            }
+            let owed = owed.get_or_insert_with(|| vec![[0.0; N]; root_rows.len() * size]);
             self.forward_supernode(s, columns.start, x, &mut below, Threads::One);
             let rows = symbolic.rows(s);
             let inside = rows.partition_point(|&row| (row as usize) < columns.end);
@@ -323,7 +317,7 @@ impl<'a, const N: usize> Solver<'a, N> {
                 },
             );
         }
-        reached.last().copied().unwrap_or(false).then_some(owed)
+        owed
     }
 
     /// Solves for the rows of a supernode and leaves −L₂X in `below`; `x` starts at vertex `first`.
@@ -344,42 +338,33 @@ impl<'a, const N: usize> Solver<'a, N> {
         let (symbolic, size) = (self.symbolic, self.symbolic.size());
         let mut x = std::mem::take(&mut self.x);
         let mut below = Vec::new();
-        for piece in symbolic.pieces().iter().filter(|piece| !piece.is_subtree).rev() {
-            let s = piece.supernodes.start;
+        let Schedule { stages, shared } = symbolic.schedule();
+        for &s in shared.iter().rev() {
             copy_rows(&x, 0, symbolic.rows(s), &mut below, size);
             let (panel, rows) = self.panel(s, 0);
             panel::solve_backward(panel, &mut x[rows], &below, Threads::All);
         }
-        // What lies above a subtree is final: each takes a copy of the rows that it reads.
-        let outer: Vec<Vec<Row<N>>> = symbolic
-            .pieces()
-            .iter()
-            .map(|piece| {
+        for stage in stages.iter().rev() {
+            // What lies above a branch is final: each takes a copy of the rows that it reads.
+            let copied = |branch: &Branch| {
                 let mut rows = Vec::new();
-                if piece.is_subtree {
-                    let root = piece.supernodes.end - 1;
-                    copy_rows(&x, 0, symbolic.rows(root), &mut rows, size);
-                }
+                copy_rows(&x, 0, symbolic.rows(branch.root()), &mut rows, size);
                 rows
-            })
-            .collect();
-        self.split(&mut x).into_par_iter().zip(outer).with_max_len(1).for_each(
-            |((piece, x), outer)| {
-                if piece.is_subtree {
-                    self.backward_subtree(piece, x, &outer);
-                }
-            },
-        );
+            };
+            let outer: Vec<Vec<Row<N>>> = stage.iter().map(copied).collect();
+            let branches = self.split(stage, &mut x).into_par_iter().zip(outer).with_max_len(1);
+            branches.for_each(|((branch, x), outer)| self.backward_branch(branch, x, &outer));
+        }
         self.x = x;
     }
 
-    /// X ← L⁻ᵀX on the rows of one subtree, given those below its root.
-    fn backward_subtree(&self, piece: &Piece, x: &mut [Row<N>], outer: &[Row<N>]) {
+    /// X ← L⁻ᵀX on the rows of one branch, given those below its root.
+    fn backward_branch(&self, branch: &Branch, x: &mut [Row<N>], outer: &[Row<N>]) {
         let (symbolic, size) = (self.symbolic, self.symbolic.size());
-        let columns = symbolic.columns_of(piece);
-        let root_rows = symbolic.rows(piece.supernodes.end - 1);
+        let columns = branch.columns.clone();
+        let root_rows = symbolic.rows(branch.root());
         let (mut below, mut outside, mut places) = (Vec::new(), Vec::new(), Vec::new());
-        for s in piece.supernodes.clone().rev() {
+        for &s in branch.supernodes.iter().rev() {
             let rows = symbolic.rows(s);
             let inside = rows.partition_point(|&row| (row as usize) < columns.end);
             copy_rows(x, columns.start, &rows[..inside], &mut below, size);

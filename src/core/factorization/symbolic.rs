@@ -23,6 +23,10 @@ const RELAXATION: &[(usize, f64)] = &[(4, 1.0), (16, 0.8), (48, 0.1), (usize::MA
 /// do not depend on the number of threads.
 const SHARE_OF_A_TASK: f64 = 1.0 / 16.0;
 
+/// The same for what solves work through on one thread above those tasks, so that threads wait for each other at few
+/// fronts only: a solve of eight columns takes 6 to 14 % less so.
+const SHARE_OF_A_BRANCH: f64 = 1.0 / 2.0;
+
 /// Supernodes this far below a root begin a task whatever its size. Nested dissection leaves about
 /// a dozen levels above the tasks; a graph that it cannot dissect must not exhaust the stack.
 const MOST_LEVELS: usize = 64;
@@ -51,6 +55,32 @@ pub(super) struct Piece {
     pub(super) is_subtree: bool,
 }
 
+/// Supernodes of a subtree of the elimination forest that one thread solves with, one after the other.
+#[derive(Debug)]
+pub(super) struct Branch {
+    /// Ascending; the last is the subtree's root.
+    pub(super) supernodes: Vec<usize>,
+    /// Vertex positions of the whole subtree's columns.
+    pub(super) columns: Range<usize>,
+}
+
+impl Branch {
+    /// The root of the subtree.
+    pub(super) fn root(&self) -> usize {
+        self.supernodes.last().copied().unwrap_or_default()
+    }
+}
+
+/// How solves go through the forest, from the leaves.
+#[derive(Debug)]
+pub(super) struct Schedule {
+    /// Branches that are independent of one another, ascending: whole subtrees, then what lies above those up to larger
+    /// subtrees' roots.
+    pub(super) stages: [Vec<Branch>; 2],
+    /// What lies above, one after the other, each with all threads.
+    pub(super) shared: Vec<usize>,
+}
+
 /// The structure of a Cholesky factor, to be shared by all matrices with one pattern.
 #[derive(Debug)]
 pub struct SymbolicCholesky {
@@ -63,6 +93,7 @@ pub struct SymbolicCholesky {
     rows: Vec<u32>,
     children: Vec<u32>,
     pieces: Vec<Piece>,
+    schedule: Schedule,
     n_values: usize,
     n_flops: f64,
 }
@@ -110,7 +141,7 @@ impl SymbolicCholesky {
             n_values = end;
         }
         let children = gather_children(&mut supernodes);
-        let (pieces, n_flops) = pieces(&supernodes, size);
+        let (pieces, schedule, n_flops) = pieces(&supernodes, size);
         for (index, piece) in pieces.iter().enumerate() {
             let begin = supernodes[piece.supernodes.start].values.start;
             for supernode in &mut supernodes[piece.supernodes.clone()] {
@@ -131,6 +162,7 @@ impl SymbolicCholesky {
             rows,
             children,
             pieces,
+            schedule,
             n_values,
             n_flops,
         })
@@ -186,10 +218,9 @@ impl SymbolicCholesky {
     pub(super) fn pieces(&self) -> &[Piece] {
         &self.pieces
     }
-    /// Vertex positions of the columns of a piece.
-    pub(super) fn columns_of(&self, piece: &Piece) -> Range<usize> {
-        let Range { start, end } = piece.supernodes;
-        self.supernodes[start].columns.start..self.supernodes[end - 1].columns.end
+    /// How solves go through them.
+    pub(super) fn schedule(&self) -> &Schedule {
+        &self.schedule
     }
     /// Numbers stored for a piece.
     pub(super) fn n_values_of(&self, piece: &Piece) -> usize {
@@ -340,7 +371,7 @@ fn gather_children(supernodes: &mut [Supernode]) -> Vec<u32> {
 }
 
 /// Cuts the forest into tasks; also counts the floating-point operations.
-fn pieces(supernodes: &[Supernode], size: usize) -> (Vec<Piece>, f64) {
+fn pieces(supernodes: &[Supernode], size: usize) -> (Vec<Piece>, Schedule, f64) {
     let mut first: Vec<usize> = (0..supernodes.len()).collect();
     let mut flops = vec![0.0f64; supernodes.len()];
     let mut total = 0.0;
@@ -360,15 +391,34 @@ fn pieces(supernodes: &[Supernode], size: usize) -> (Vec<Piece>, f64) {
         level[s] = supernodes[s].parent.map_or(0, |parent| level[parent] + 1);
     }
     let in_task = |s: usize| flops[s] <= SHARE_OF_A_TASK * total || level[s] >= MOST_LEVELS;
+    let all = supernodes;
+    let in_branch = |s: usize| flops[s] <= SHARE_OF_A_BRANCH * total;
+    let branch = |root: usize, supernodes: Vec<usize>| Branch {
+        columns: all[first[root]].columns.start..all[root].columns.end,
+        supernodes,
+    };
     let mut pieces = Vec::new();
+    let [mut subtrees, mut branches] = [const { Vec::new() }; 2];
+    let (mut shared, mut above) = (Vec::new(), Vec::new());
     for (s, supernode) in supernodes.iter().enumerate() {
-        if !in_task(s) {
-            pieces.push(Piece { supernodes: s..s + 1, is_subtree: false });
-        } else if !supernode.parent.is_some_and(in_task) {
-            pieces.push(Piece { supernodes: first[s]..s + 1, is_subtree: true });
+        if in_task(s) {
+            if !supernode.parent.is_some_and(in_task) {
+                pieces.push(Piece { supernodes: first[s]..s + 1, is_subtree: true });
+                subtrees.push(branch(s, (first[s]..=s).collect()));
+            }
+            continue;
+        }
+        pieces.push(Piece { supernodes: s..s + 1, is_subtree: false });
+        if !in_branch(s) {
+            shared.push(s);
+            continue;
+        }
+        above.push(s);
+        if !supernode.parent.is_some_and(in_branch) {
+            branches.push(branch(s, std::mem::take(&mut above)));
         }
     }
-    (pieces, total)
+    (pieces, Schedule { stages: [subtrees, branches], shared }, total)
 }
 
 #[cfg(test)]
@@ -401,5 +451,23 @@ mod tests {
         assert_eq!(next, symbolic.supernodes().len());
         assert!(symbolic.pieces().iter().filter(|p| p.is_subtree).count() > 4);
         assert!(symbolic.pieces().iter().any(|p| !p.is_subtree));
+
+        // So do the stages of a solve; nothing that a branch reads lies in another one.
+        let Schedule { stages, shared } = symbolic.schedule();
+        let branches = stages.iter().flatten();
+        let mut all: Vec<usize> = branches.flat_map(|b| b.supernodes.clone()).collect();
+        all.extend(shared);
+        all.sort_unstable();
+        assert!(all.into_iter().eq(0..symbolic.supernodes().len()));
+        assert!(stages.iter().all(|stage| stage.len() > 1) && !shared.is_empty());
+        for stage in stages {
+            assert!(stage.is_sorted_by(|a, b| a.columns.end <= b.columns.start));
+            for branch in stage {
+                let root = *branch.supernodes.last().unwrap();
+                for &s in &branch.supernodes {
+                    assert!(s == root || symbolic.supernodes()[s].parent.unwrap() <= root);
+                }
+            }
+        }
     }
 }
