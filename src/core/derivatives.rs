@@ -69,7 +69,8 @@ impl Scratch {
 }
 
 impl Solver<'_> {
-    /// Solves K̂X = B with XᵀMR = 0 in the place of B. Returns the worst relative residual.
+    /// Solves K̂X = B (n×k) with XᵀMR = 0 in the place of B, k being at most what `scratch` is for. Returns the worst
+    /// relative residual.
     pub fn solve_in_place(
         &self,
         mut x: MatMut<'_, f64>,
