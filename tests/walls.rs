@@ -31,7 +31,7 @@ const STAGES: [&str; 12] = [
 ];
 
 /// Modules of the core that belong to no stage and import none.
-const SHARED_BY_STAGES: [&str; 4] = ["control", "dictionary", "lanes", "linalg"];
+const SHARED_BY_STAGES: [&str; 5] = ["control", "dictionary", "lanes", "linalg", "pool"];
 
 /// What the pure core may not reach for.
 const IMPURE: [&str; 8] = [

@@ -13,6 +13,7 @@ use faer::{Mat, MatRef};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// How the principal components are found.
 ///
@@ -85,38 +86,56 @@ pub struct WeightedDerivatives<'a> {
     pub eigenvalues: Vec<[f64; 2]>,
 }
 
-/// An M-orthonormal basis (n × at most `size`) and singular values of the weighted columns (relative
-/// to the first, descending; at least `size` of them unless fewer columns are independent).
+/// A basis of principal components.
+pub struct Pca {
+    /// U (n × at most as many as asked for), M-orthonormal.
+    pub basis: Mat<f64>,
+    /// Singular values of the weighted columns, relative to the first, descending; at least as many as asked for
+    /// unless fewer columns are independent.
+    pub singular: Vec<f64>,
+    /// UᵀMD of the columns D, modes first.
+    pub inner: Mat<f64>,
+}
+
+/// The principal components of modes and derivatives, at most `size`.
 pub fn mass_pca(
     mass: &Mass,
     modes: &LinearModes,
     derivatives: &[WeightedDerivatives<'_>],
     size: usize,
     method: PcaMethod,
-) -> Result<(Mat<f64>, Vec<f64>), DenseError> {
+) -> Result<Pca, DenseError> {
     let shapes = derivatives.iter().map(|group| group.shapes);
     let parts = std::iter::once(modes.shapes.as_ref()).chain(shapes).collect();
     let of_derivatives: Vec<[f64; 2]> =
         derivatives.iter().flat_map(|group| group.eigenvalues.iter().copied()).collect();
     let weights = weights(&modes.eigenvalues, &of_derivatives);
     let columns = Columns { mass, parts };
-    let (mut basis, singular) = match method {
+    let Pca { mut basis, mut singular, mut inner } = match method {
         PcaMethod::Snapshots => snapshots(&columns, &weights, size)?,
         PcaMethod::Randomized => randomized(&columns, &weights, size)?,
     };
-    orient(&mut basis);
+    for (i, turned) in orient(&mut basis).into_iter().enumerate() {
+        if turned {
+            inner.row_mut(i).iter_mut().for_each(|x| *x = -*x);
+        }
+    }
     let largest = singular.first().copied().unwrap_or(1.0).max(f64::MIN_POSITIVE);
-    Ok((basis, singular.into_iter().map(|s| s / largest).collect()))
+    singular.iter_mut().for_each(|s| *s /= largest);
+    Ok(Pca { basis, singular, inner })
 }
 
-/// Gives columns signs that do not depend on a decomposition: the largest entry is positive.
-fn orient(x: &mut Mat<f64>) {
-    linalg::for_each_column(x.as_mut(), |_, column| {
+/// Gives columns signs that do not depend on a decomposition: the largest entry is positive. Tells which have changed.
+fn orient(x: &mut Mat<f64>) -> Vec<bool> {
+    let turned: Vec<AtomicBool> = (0..x.ncols()).map(|_| AtomicBool::new(false)).collect();
+    linalg::for_each_column(x.as_mut(), |j, column| {
         let peak = column.iter().fold(0.0f64, |m, x| if x.abs() > m.abs() { *x } else { m });
         if peak < 0.0 {
             column.iter_mut().for_each(|x| *x = -*x);
+            turned[j].store(true, Ordering::Relaxed);
         }
     });
+    turned.into_iter().map(AtomicBool::into_inner).collect()
 }
 
 /// The columns D (n×p) side by side, where they lie.
@@ -134,10 +153,12 @@ impl Columns<'_> {
     fn times(&self, c: MatRef<'_, f64>) -> Mat<f64> {
         let mut product = Mat::zeros(self.parts[0].nrows(), c.ncols());
         let mut at = 0;
-        for part in &self.parts {
-            linalg::add_product(product.as_mut(), 1.0, *part, c.subrows(at, part.ncols()));
+        let rows = |part: &MatRef<'_, f64>| {
             at += part.ncols();
-        }
+            c.subrows(at - part.ncols(), part.ncols())
+        };
+        let coefficients: Vec<MatRef<'_, f64>> = self.parts.iter().map(rows).collect();
+        linalg::add_products(product.as_mut(), &self.parts, &coefficients);
         product
     }
 
@@ -194,15 +215,14 @@ fn scales(lengths: &[f64], weights: &[f64]) -> Vec<f64> {
 /// directions of tiny weight keep their digits; a Gram matrix of the weighted columns would lose
 /// everything below 1e-8 of the first. What the first step leaves of non-orthogonality, the second
 /// takes out of the columns chosen.
-fn snapshots(
-    columns: &Columns<'_>,
-    weights: &[f64],
-    size: usize,
-) -> Result<(Mat<f64>, Vec<f64>), DenseError> {
+fn snapshots(columns: &Columns<'_>, weights: &[f64], size: usize) -> Result<Pca, DenseError> {
     let gram = columns.gram();
     let (coefficients, singular) = principal_coefficients(gram.as_ref(), weights, size, DEPENDENT)?;
-    let basis = columns.times(coefficients.as_ref());
-    Ok((orthonormalized(columns.mass, basis)?, singular))
+    let mut basis = columns.times(coefficients.as_ref());
+    let turn = orthonormalize(columns.mass, &mut basis)?;
+    let inner = linalg::small_product(coefficients.transpose(), gram.as_ref());
+    let inner = linalg::small_product(turn.transpose(), inner.as_ref());
+    Ok(Pca { basis, singular, inner })
 }
 
 /// Coefficients (p × at most `size`) of the leading principal components of columns D with this Gram
@@ -226,24 +246,22 @@ fn principal_coefficients(
     Ok((linalg::small_product(orthonormal.as_ref(), leading), singular))
 }
 
-/// Columns that are M-orthonormal but for rounding, made so; the first change least.
-fn orthonormalized(mass: &Mass, mut x: Mat<f64>) -> Result<Mat<f64>, DenseError> {
+/// Makes columns that are M-orthonormal but for rounding so; the first change least. Returns R of X ← XR.
+fn orthonormalize(mass: &Mass, x: &mut Mat<f64>) -> Result<Mat<f64>, DenseError> {
+    let mut all = Mat::identity(x.ncols(), x.ncols());
     for _ in 0..3 {
         let gram = mass.gram(x.as_ref());
         if linalg::distance_from_identity(gram.as_ref()) < 1e-13 {
             break;
         }
         let turn = SmallCholesky::new(gram.as_ref())?.whitening();
-        x = linalg::product(x.as_ref(), turn.as_ref());
+        linalg::turn(x.as_mut(), turn.as_ref());
+        all = linalg::small_product(all.as_ref(), turn.as_ref());
     }
-    Ok(x)
+    Ok(all)
 }
 
-fn randomized(
-    columns: &Columns<'_>,
-    weights: &[f64],
-    size: usize,
-) -> Result<(Mat<f64>, Vec<f64>), DenseError> {
+fn randomized(columns: &Columns<'_>, weights: &[f64], size: usize) -> Result<Pca, DenseError> {
     let mass = columns.mass;
     let p = columns.count();
     let scales = scales(&columns.lengths(), weights);
@@ -289,8 +307,8 @@ fn randomized(
         }
         let gram = mass.gram(block.as_ref());
         let turn = linalg::orthonormal_coefficients(gram.as_ref(), DEPENDENT)?;
-        let block = linalg::product(block.as_ref(), turn.as_ref());
-        let block = orthonormalized(mass, block)?;
+        let mut block = linalg::product(block.as_ref(), turn.as_ref());
+        orthonormalize(mass, &mut block)?;
         if block.ncols() == 0 {
             break;
         }
@@ -307,9 +325,11 @@ fn randomized(
     let (singular, left) = linalg::left_singular(stacked.as_ref())?;
     let leading = left.subcols(0, size.min(left.ncols()));
     let blocks = Columns { mass, parts: q.iter().map(|q| q.as_ref()).collect() };
-    let basis =
+    let mut basis =
         if q.is_empty() { Mat::zeros(columns.parts[0].nrows(), 0) } else { blocks.times(leading) };
-    Ok((orthonormalized(mass, basis)?, singular))
+    orthonormalize(mass, &mut basis)?;
+    let inner = columns.inner(basis.as_ref()).transpose().to_owned();
+    Ok(Pca { basis, singular, inner })
 }
 
 #[cfg(test)]
@@ -357,8 +377,11 @@ mod tests {
                 eigenvalues: eigenvalues.clone(),
             };
             for size in [4, 30] {
-                let (basis, singular) =
+                let Pca { basis, singular, inner } =
                     mass_pca(&mass, &modes, std::slice::from_ref(&group), size, method).unwrap();
+                let all = linalg::concatenate(&[modes.shapes.as_ref(), derivatives.as_ref()]);
+                let error = (inner - mass.inner(basis.as_ref(), all.as_ref())).norm_max();
+                assert!(error < 1e-9, "{method:?}: {error:e}");
                 assert_eq!(basis.ncols(), size);
                 let gram = mass.gram(basis.as_ref());
                 assert!(linalg::distance_from_identity(gram.as_ref()) < 1e-12, "{method:?}");
@@ -396,9 +419,8 @@ mod tests {
             eigenvalues: modes.eigenvalues.iter().map(|l| [*l, modes.eigenvalues[0]]).collect(),
         };
         for method in [PcaMethod::Snapshots, PcaMethod::Randomized] {
-            let (basis, _) =
-                mass_pca(&mass, &modes, std::slice::from_ref(&again), 2 * r, method).unwrap();
-            assert_eq!(basis.ncols(), r, "{method:?}");
+            let pca = mass_pca(&mass, &modes, std::slice::from_ref(&again), 2 * r, method).unwrap();
+            assert_eq!(pca.basis.ncols(), r, "{method:?}");
         }
     }
 }

@@ -11,6 +11,7 @@ use crate::control::{self, Cancelled, Control, Stage};
 use crate::linalg;
 use crate::modes::LinearModes;
 use crate::modes::stitched::StitchedStiffness;
+use crate::pool::Pooled;
 use faer::{Mat, MatMut, MatRef};
 
 /// Relative residual to which derivatives are solved where a direct solve is not exact. They only
@@ -59,12 +60,12 @@ pub struct Solver<'a> {
 }
 
 /// Memory for the right-hand sides and the residuals of one block of columns after another.
-pub struct Scratch([Mat<f64>; 2]);
+pub struct Scratch([Pooled; 2]);
 
 impl Scratch {
     /// For blocks of at most n × k.
     pub fn new(n: usize, k: usize) -> Scratch {
-        Scratch([(); 2].map(|()| Mat::zeros(n, k)))
+        Scratch([(); 2].map(|()| Pooled::take(n * k)))
     }
 }
 
@@ -81,8 +82,8 @@ impl Solver<'_> {
         if self.rigid.ncols() > 0 {
             self.balance(x.as_mut());
         }
-        let [b, r] = &mut scratch.0;
-        let (mut b, mut r) = (b.as_mut().subcols_mut(0, k), r.as_mut().subcols_mut(0, k));
+        let [b, r] = scratch.0.each_mut().map(|pooled| pooled.columns_mut(x.nrows(), k));
+        let (mut b, mut r) = (b, r);
         linalg::copy(b.as_mut(), x.as_ref());
         let b = b.as_ref();
         let norms = linalg::column_norms(b);
@@ -101,14 +102,14 @@ impl Solver<'_> {
             control::check(control)?;
             let mut z = r.to_owned();
             self.precondition(r.as_ref(), z.as_mut());
-            let energy = column_products(r.as_ref(), z.as_ref());
+            let energy = linalg::column_products(r.as_ref(), z.as_ref());
             let beta = |j: usize| if step == 0 || old[j] == 0.0 { 0.0 } else { energy[j] / old[j] };
             linalg::for_each_column(direction.as_mut(), |j, direction| {
                 let beta = beta(j);
                 direction.iter_mut().zip(z.col_as_slice(j)).for_each(|(d, z)| *d = z + beta * *d);
             });
             let kd = self.stitched.multiply(direction.as_ref());
-            let curvature = column_products(direction.as_ref(), kd.as_ref());
+            let curvature = linalg::column_products(direction.as_ref(), kd.as_ref());
             let alpha = |j: usize| if curvature[j] > 0.0 { energy[j] / curvature[j] } else { 0.0 };
             linalg::for_each_column(x.as_mut(), |j, x| {
                 axpy(x, alpha(j), direction.col_as_slice(j));
@@ -147,10 +148,6 @@ impl Solver<'_> {
             linalg::add_product(x, -1.0, self.rigid, c.as_ref());
         }
     }
-}
-
-fn column_products(x: MatRef<'_, f64>, y: MatRef<'_, f64>) -> Vec<f64> {
-    (0..x.ncols()).map(|j| x.col(j).transpose() * y.col(j)).collect()
 }
 
 fn worst_ratio(r: MatRef<'_, f64>, norms: &[f64]) -> f64 {

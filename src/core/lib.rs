@@ -22,6 +22,7 @@ pub mod linalg;
 pub use sutura_reduced::material;
 pub mod mesh;
 pub mod modes;
+pub mod pool;
 pub mod reduced;
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;

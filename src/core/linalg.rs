@@ -96,6 +96,15 @@ pub fn product(x: MatRef<'_, f64>, c: MatRef<'_, f64>) -> Mat<f64> {
     y
 }
 
+/// `X ← X·C` with X tall (n×k) and C small (k×k).
+pub fn turn(x: MatMut<'_, f64>, c: MatRef<'_, f64>) {
+    assert_eq!((c.nrows(), c.ncols()), (x.ncols(), x.ncols()));
+    x.par_row_chunks_mut(ROW_CHUNK).for_each(|x| {
+        let before = x.to_owned();
+        matmul(x, Accum::Replace, before.as_ref(), c, 1.0, Par::Seq);
+    });
+}
+
 /// Left singular vectors and singular values (descending) of a small matrix.
 pub fn left_singular(a: MatRef<'_, f64>) -> Result<(Vec<f64>, Mat<f64>), DenseError> {
     if a.nrows() == 0 || a.ncols() == 0 {
@@ -124,6 +133,26 @@ pub fn orthonormal_coefficients(g: MatRef<'_, f64>, drop: f64) -> Result<Mat<f64
     Ok(Mat::from_fn(k, k - first, |i, j| {
         scale[i] * vectors[(i, first + j)] / values[first + j].sqrt()
     }))
+}
+
+/// Ritz pairs in a space of the Gram matrices K and M (k×k), in inverse form, which is well conditioned whatever the
+/// largest eigenvalue of K: θ = 1/λ descending, and coefficients C (k×m) with CᵀMC = I. Directions that are dependent in
+/// K to within `drop` ([`orthonormal_coefficients`]) are left out.
+pub fn inverse_ritz(
+    gram_k: MatRef<'_, f64>,
+    gram_m: MatRef<'_, f64>,
+    drop: f64,
+) -> Result<(Vec<f64>, Mat<f64>), DenseError> {
+    let b = orthonormal_coefficients(gram_k, drop)?;
+    let mb = small_product(gram_m, b.as_ref());
+    let (theta, y) = symmetric_eigen(small_product(b.transpose(), mb.as_ref()).as_ref())?;
+    let k = theta.len();
+    let by = small_product(b.as_ref(), y.as_ref());
+    let theta: Vec<f64> = theta.into_iter().rev().collect();
+    let c = Mat::from_fn(by.nrows(), k, |i, j| {
+        by[(i, k - 1 - j)] / theta[j].max(f64::MIN_POSITIVE).sqrt()
+    });
+    Ok((theta, c))
 }
 
 /// Largest entry of `|G − I|`: how far from orthonormal a set of vectors with Gram matrix G is.
@@ -201,6 +230,11 @@ pub fn columns(a: &Mat<f64>, chosen: &[usize]) -> Mat<f64> {
 /// Euclidean lengths of the columns.
 pub fn column_norms(a: MatRef<'_, f64>) -> Vec<f64> {
     (0..a.ncols()).into_par_iter().map(|j| (a.col(j).transpose() * a.col(j)).sqrt()).collect()
+}
+
+/// xᵀy of every column of X and of Y.
+pub fn column_products(x: MatRef<'_, f64>, y: MatRef<'_, f64>) -> Vec<f64> {
+    (0..x.ncols()).into_par_iter().map(|j| x.col(j).transpose() * y.col(j)).collect()
 }
 
 /// Bytes of a dense matrix.

@@ -64,7 +64,7 @@ pub(crate) fn basis(
             eigenvalues: d.eigenvalues.clone(),
         })
         .collect();
-    mass_pca(mass, modes, &groups, size, PcaMethod::default()).unwrap().0
+    mass_pca(mass, modes, &groups, size, PcaMethod::default()).unwrap().basis
 }
 
 fn stitched_factor(model: &FullModel, body: &Artifacts) -> SparseCholesky {

@@ -327,12 +327,13 @@ fn principal_components(
         .map(|pair| pair.map(|i| linear.eigenvalues[i]))
         .collect();
     let n_columns = kept.eigenvalues.len() + derived.ncols();
-    let (ours, (basis, _)) = timed(repeat, || {
+    let (ours, found) = timed(repeat, || {
         let group =
             WeightedDerivatives { shapes: derived.as_ref(), eigenvalues: eigenvalues.clone() };
         mass_pca(mass, &kept, &[group], BASIS_SIZE, PcaMethod::default())
     })?;
 
+    let basis = found.basis;
     let first = kept.eigenvalues[0];
     let root: Vec<f64> = (0..model.n()).map(|i| mass.entry(i / 3, i / 3).sqrt()).collect();
     let (standard, svd) = timed(repeat, || {

@@ -29,6 +29,13 @@ impl Times {
             n: seconds.len(),
         }
     }
+
+    /// The same less so many seconds.
+    pub(crate) fn less(&self, seconds: f64) -> Times {
+        let less = |s: f64| s - seconds;
+        let [median_s, min_s, max_s] = [self.median_s, self.min_s, self.max_s].map(less);
+        Times { median_s, min_s, max_s, ..self.clone() }
+    }
 }
 
 /// Does `work` `repeat` times and returns its last result.

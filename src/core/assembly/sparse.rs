@@ -3,6 +3,7 @@
 
 use crate::lanes::{LANES, LaneBlock, Lanes};
 use crate::linalg;
+use crate::pool::Pooled;
 use faer::{Mat, MatMut, MatRef};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -315,7 +316,8 @@ fn multiply_rows(
     row_times: impl Fn(usize, &[Lanes]) -> [Lanes; 3] + Sync,
 ) {
     assert_eq!((x.nrows(), x.ncols()), (y.nrows(), y.ncols()));
-    let mut packed = vec![[0.0; LANES]; x.nrows()];
+    let mut pooled = Pooled::take(LANES * x.nrows());
+    let packed: &mut [Lanes] = pooled.numbers(LANES * x.nrows()).as_chunks_mut().0;
     for first in (0..x.ncols()).step_by(LANES) {
         let lanes = LANES.min(x.ncols() - first);
         packed.par_chunks_mut(ROWS_PER_TASK).enumerate().for_each(|(chunk, packed)| {
@@ -324,6 +326,7 @@ fn multiply_rows(
                 packed.iter_mut().zip(column.iter()).for_each(|(packed, x)| packed[lane] = *x);
             }
         });
+        let packed = &*packed;
         let y = y.as_mut().subcols_mut(first, lanes);
         y.par_row_chunks_mut(3 * VERTICES_PER_TASK).enumerate().for_each(|(chunk, mut y)| {
             let mut rows = [[[0.0; LANES]; 3]; VERTICES_PER_TASK];
@@ -332,7 +335,7 @@ fn multiply_rows(
                 #[inline(always)]
                 || {
                     for (i, row) in rows.iter_mut().enumerate() {
-                        *row = row_times(chunk * VERTICES_PER_TASK + i, &packed);
+                        *row = row_times(chunk * VERTICES_PER_TASK + i, packed);
                     }
                 },
             );

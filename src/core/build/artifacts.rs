@@ -3,6 +3,7 @@
 use super::certificate::{Certificate, Verdict};
 use super::close::ClosingReport;
 use super::params::{BuildParams, Derivatives, Method};
+use super::single::Single;
 use crate::assembly::FullModel;
 use crate::assembly::mass::Mass;
 use crate::assembly::sparse::BlockMatrix;
@@ -62,6 +63,8 @@ pub(super) struct Prepared {
     pub(super) stiffness: BlockMatrix,
     /// Factor of K + σM.
     pub(super) factor: SparseCholesky,
+    /// The same in single precision, made by the first edit outside a seam, if it is of use.
+    pub(super) single: OnceLock<Option<Single>>,
     pub(super) sigma: f64,
     /// X: M-orthonormal rigid modes, then elastic ones with guards (n×k each).
     pub(super) x: [Arc<Block>; 2],
@@ -104,6 +107,11 @@ impl Prepared {
     /// Elastic modes with guards (n×k).
     pub(super) fn modes(&self) -> MatRef<'_, f64> {
         self.x[1].columns.as_ref()
+    }
+
+    /// The factor in single precision, if that is of use.
+    pub(super) fn single(&self) -> Option<&Single> {
+        self.single.get_or_init(|| Single::new(self)).as_ref()
     }
 
     /// What is prepared now, if anything is.
@@ -342,6 +350,7 @@ impl Artifacts {
             + base.mass.bytes()
             + base.stiffness.bytes()
             + base.factor.bytes()
+            + base.single.get().map_or(0, |s| s.as_ref().map_or(0, |s| s.factor.bytes()))
             + base.x.iter().map(|x| linalg::bytes(&x.columns)).sum::<usize>()
             + base.known_seams().map_or(0, |seams| seams.bytes())
             + base.derivatives().as_ref().map_or(0, |shapes| linalg::bytes(shapes));

@@ -76,6 +76,7 @@ impl Assembled {
             mass_inverse: OnceLock::new(),
             stiffness: self.stiffness,
             factor,
+            single: OnceLock::new(),
             sigma,
             x: [Block::new(self.rigid), Block::new(modes)],
             spectrum,

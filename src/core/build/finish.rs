@@ -13,6 +13,7 @@ use crate::edit::EditState;
 use crate::linalg;
 use crate::modes::AuditedSpectrum;
 use crate::modes::stitched::StitchMatrix;
+use crate::pool::Pooled;
 use crate::reduced::{self, FreeBody, Whole};
 use faer::Mat;
 use rayon::prelude::*;
@@ -263,11 +264,22 @@ impl<'a> Fit<'a> {
             Some(stiffness) => reduced_stiffness += stiffness,
             None => {
                 let basis = basis.dense();
-                for first in (0..basis.ncols()).step_by(COLUMNS_AT_A_TIME) {
-                    let count = COLUMNS_AT_A_TIME.min(basis.ncols() - first);
-                    let product = prepared.stiffness.multiply(basis.subcols(first, count));
-                    let mut columns = reduced_stiffness.as_mut().subcols_mut(first, count);
-                    columns += linalg::gram(basis, product.as_ref());
+                let (n, r) = (basis.nrows(), basis.ncols());
+                let mut memory = Pooled::take(n * COLUMNS_AT_A_TIME);
+                for first in (0..r).step_by(COLUMNS_AT_A_TIME) {
+                    let count = COLUMNS_AT_A_TIME.min(r - first);
+                    let mut product = memory.columns_mut(n, count);
+                    prepared.stiffness.multiply_into(product.as_mut(), basis.subcols(first, count));
+                    // Below the diagonal, which is mirrored.
+                    let lower = linalg::gram(basis.subcols(first, r - first), product.as_ref());
+                    for j in 0..count {
+                        for i in j..r - first {
+                            reduced_stiffness[(first + i, first + j)] += lower[(i, j)];
+                            if i > j {
+                                reduced_stiffness[(first + j, first + i)] += lower[(i, j)];
+                            }
+                        }
+                    }
                 }
             }
         }

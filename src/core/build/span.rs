@@ -2,7 +2,7 @@
 
 use super::artifacts::Prepared;
 use super::params::BuildError;
-use crate::basis::{self, WeightedDerivatives, mass_pca};
+use crate::basis::{self, Pca, WeightedDerivatives, mass_pca};
 use crate::dictionary::{Block, Combination, Dictionary};
 use crate::edit::Stitch;
 use crate::linalg::{self, SmallCholesky};
@@ -98,11 +98,13 @@ fn reduce_dense(
         shapes: Mat::as_ref(&derivatives.shapes),
         eigenvalues: derivatives.eigenvalues.clone(),
     };
-    let (basis, _) = mass_pca(&prepared.mass, &weighed, &[group], params.basis_size, params.pca)?;
+    let Pca { basis, inner, .. } =
+        mass_pca(&prepared.mass, &weighed, &[group], params.basis_size, params.pca)?;
+    let (of_modes, of_derivatives) = inner.as_ref().split_at_col(weighed.shapes.ncols());
     let stretch = StitchMatrix::new(&prepared.model, stitches).transpose_times(basis.as_ref());
     Ok(Subspace {
-        of_modes: prepared.mass.inner(basis.as_ref(), weighed.shapes.as_ref()),
-        of_derivatives: prepared.mass.inner(basis.as_ref(), Mat::as_ref(&derivatives.shapes)),
+        of_modes: of_modes.to_owned(),
+        of_derivatives: of_derivatives.to_owned(),
         pairs: derivatives.pairs,
         modes: Combination::of_dense(weighed.shapes),
         basis: Combination::of_dense(basis),

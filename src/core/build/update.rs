@@ -3,22 +3,19 @@
 
 use super::artifacts::Prepared;
 use super::certificate::Verdict;
-use super::derive::{Body, new_derivatives};
 use super::finish::Draft;
 use super::params::{BuildError, Derivatives};
 use super::span::{PreparedSpan, Span, best_source};
-use super::{StageClock, seams};
-use crate::assembly::mass::Mass;
-use crate::control::{self, Stage};
+use super::{StageClock, refined, seams};
+use crate::control::Stage;
 use crate::cubature::Rule;
-use crate::derivatives::{self, SOLVE_TOLERANCE};
+use crate::derivatives;
 use crate::edit::EditState;
 use crate::linalg::{self, DenseError};
-use crate::modes::low_rank::{self, MassInverse};
 use crate::modes::prepared::PreparedStitches;
 use crate::modes::seams::{SeamRecipe, Seams};
-use crate::modes::stitched::{StitchMatrix, StitchedStiffness};
-use crate::modes::{self, AuditedSpectrum, LinearModes, flexibility, rigid};
+use crate::modes::stitched::StitchMatrix;
+use crate::modes::{AuditedSpectrum, rigid};
 use faer::{Mat, MatRef};
 use std::sync::Arc;
 
@@ -56,7 +53,7 @@ pub(super) fn by_flexibility(
     let Some(InSeams { spectrum, n_rigid_modes, span, has_solved, unexplained }) =
         in_seams(&prepared, &state, seams, wanted, clock)?
     else {
-        return refined(prepared, state, reuse, Some(tolerance), clock);
+        return refined::refined(prepared, state, reuse, Some(tolerance), clock);
     };
     let mut warnings = Vec::new();
     if unexplained > UNEXPLAINED {
@@ -100,7 +97,7 @@ pub(super) fn by_low_rank(
     reuse: Vec<(Rule, f64)>,
     clock: &mut StageClock<'_>,
 ) -> Result<Draft, BuildError> {
-    refined(prepared, state, reuse, None, clock)
+    refined::refined(prepared, state, reuse, None, clock)
 }
 
 /// Modes and derivatives of an edit inside a seam.
@@ -192,160 +189,8 @@ fn in_seams(
     Ok(Some(InSeams { spectrum, n_rigid_modes, span, has_solved, unexplained }))
 }
 
-/// With columns of the size of the mesh: by flexibility to `tolerance`, or by the low-rank update if
-/// there is none.
-fn refined(
-    prepared: Arc<Prepared>,
-    state: EditState,
-    reuse: Vec<(Rule, f64)>,
-    tolerance: Option<f64>,
-    clock: &mut StageClock<'_>,
-) -> Result<Draft, BuildError> {
-    let base = prepared.clone();
-    let Prepared { model, mass, factor, sigma, .. } = &*base;
-    let control = clock.control;
-    let mut warnings = Vec::new();
-    let stitched =
-        StitchedStiffness::new(model, &prepared.stiffness, factor, &state.open_stitches())?;
-    control::check(control)?;
-    let left = rigid_left(stitched.stitch_matrix(), prepared.rigid())?;
-    let n_modes = prepared.params.n_modes;
-
-    let (shapes, spectrum, weighing) = match tolerance {
-        None => {
-            warnings.push(
-                "low_rank treats all higher modes as having no stiffness: its frequencies are \
-                 those of that approximation, not of the stitched body (see the residuals)"
-                    .into(),
-            );
-            let modes = low_rank_modes(&prepared, &stitched, left.ncols(), n_modes)?;
-            // Its eigenvalues can vanish; the true Rayleigh quotients take their place as weights.
-            let weighing = rayleigh_quotients(&stitched, &modes);
-            let residuals = audit(&stitched, mass, &modes, *sigma);
-            let LinearModes { shapes, eigenvalues } = modes;
-            let spectrum = AuditedSpectrum {
-                eigenvalues,
-                error_estimates: residuals.clone(),
-                angle_estimates: residuals.iter().map(|residual| residual.min(1.0)).collect(),
-                residuals,
-            };
-            (shapes, spectrum, weighing)
-        }
-        Some(tolerance) => {
-            let round_time = |columns: usize| prepared.column_time * (columns + n_modes) as u32;
-            let problem = flexibility::Update {
-                stitched: &stitched,
-                mass,
-                sigma: *sigma,
-                rigid: prepared.rigid(),
-                n_rigid_left: left.ncols(),
-                base: prepared.modes(),
-                eigenvalues: &prepared.spectrum.eigenvalues,
-                n_modes,
-                tolerance,
-            };
-            let flexibility::Updated { shapes, spectrum, .. } =
-                flexibility::update(&problem, &mut |n| clock.skips(round_time(n)), control)?;
-            let [worst, _] = spectrum.worst_errors();
-            if worst > tolerance {
-                warnings.push(format!(
-                    "the lower half of the modes reached a relative eigenvalue error of \
-                     {worst:.1e}, not {tolerance:.1e}"
-                ));
-            }
-            let weighing = spectrum.eigenvalues.clone();
-            (shapes, spectrum, weighing)
-        }
-    };
-    clock.finish(Stage::Modes)?;
-
-    let body = Body {
-        mass,
-        stitched: &stitched,
-        sigma: *sigma,
-        rigid: left.as_ref(),
-        tolerance: SOLVE_TOLERANCE,
-    };
-    let weighed = LinearModes { shapes, eigenvalues: weighing.clone() };
-    let accurate = tolerance.map(|_| &weighed);
-    // All of them anew: with 21 of the six lowest and those of the open body beside them (\[M16\]
-    // §4.2.1), static displacements came out 1.2 to 2.7 times as wrong as in a basis from scratch.
-    let count = prepared.params.n_derivative_modes.min(weighed.eigenvalues.len());
-    let lowest = weighed.lowest(count);
-    let loads = derivatives::right_hand_sides(model, lowest.shapes.as_ref(), control)?;
-    let new = new_derivatives(&body, &lowest, accurate, loads, control)?;
-    clock.finish(Stage::Derivatives)?;
-    let n_rigid_modes = left.ncols();
-    drop(stitched);
-    Ok(Draft {
-        state,
-        verdict: Verdict::Refined,
-        tolerance,
-        n_rigid_modes,
-        spectrum,
-        weighing,
-        derivative_residual: new.residual,
-        span: Span::Dense { modes: weighed.shapes, derivatives: new },
-        reuse,
-        warnings,
-        prepared,
-    })
-}
-
 /// The rigid motions that stretch no stitch (n×k, M-orthonormal).
 pub(super) fn rigid_left(a: &StitchMatrix, rigid: MatRef<'_, f64>) -> Result<Mat<f64>, DenseError> {
     let left = rigid::unstretched(a.gaps(rigid).as_ref())?;
     Ok(linalg::product(rigid, left.as_ref()))
-}
-
-/// Relative residuals of modes that come without an audit of their own.
-fn audit(
-    stitched: &StitchedStiffness<'_>,
-    mass: &Mass,
-    modes: &LinearModes,
-    sigma: f64,
-) -> Vec<f64> {
-    let shapes = modes.shapes.as_ref();
-    let product = stitched.multiply(shapes);
-    let residual = modes::residual_vectors(product, mass, shapes, &modes.eigenvalues);
-    let energies = stitched.forward(residual.as_ref()).energies();
-    modes::relative_residuals(&energies, &modes.eigenvalues, sigma)
-}
-
-/// The paper's update, guards included in what it starts from; the motions that remain rigid are
-/// its lowest and are left out.
-fn low_rank_modes(
-    prepared: &Prepared,
-    stitched: &StitchedStiffness<'_>,
-    n_rigid_left: usize,
-    n_modes: usize,
-) -> Result<LinearModes, BuildError> {
-    let inverse = match prepared.mass_inverse.get() {
-        Some(inverse) => inverse,
-        None => {
-            let made = MassInverse::new(&prepared.mass)
-                .map_err(|error| BuildError::of_factorization(error, &prepared.model))?;
-            prepared.mass_inverse.get_or_init(|| made)
-        }
-    };
-    let u = linalg::concatenate(&[prepared.rigid(), prepared.modes()]);
-    let lambda: Vec<f64> = std::iter::repeat_n(0.0, prepared.rigid().ncols())
-        .chain(prepared.spectrum.eigenvalues.iter().copied())
-        .collect();
-    let a = stitched.stitch_matrix();
-    let all = low_rank::update(u.as_ref(), &lambda, a, inverse, n_rigid_left + n_modes)?;
-    let count = all.eigenvalues.len().saturating_sub(n_rigid_left);
-    let shapes = all.shapes.subcols(n_rigid_left, count);
-    // Through the inverse root of a Gram matrix they come orthonormal to 1e-7 only.
-    let gram = linalg::SmallCholesky::new(prepared.mass.gram(shapes).as_ref())?;
-    Ok(LinearModes {
-        shapes: linalg::product(shapes, gram.whitening().as_ref()),
-        eigenvalues: all.eigenvalues[n_rigid_left..].to_vec(),
-    })
-}
-
-/// φᵀK̂φ of M-normalised shapes.
-fn rayleigh_quotients(stitched: &StitchedStiffness<'_>, modes: &LinearModes) -> Vec<f64> {
-    let product = stitched.multiply(modes.shapes.as_ref());
-    (0..product.ncols()).map(|j| modes.shapes.col(j).transpose() * product.col(j)).collect()
 }

@@ -15,8 +15,10 @@ pub use symbolic::SymbolicCholesky;
 use crate::assembly::mass::Mass;
 use crate::assembly::sparse::{BlockMatrix, ScalarMatrix};
 use crate::lanes::LaneBlock;
-use faer::MatMut;
-use solve::Half;
+use crate::lanes::kernels::Real;
+use faer::{Mat, MatMut, MatRef};
+use rayon::prelude::*;
+use solve::Task;
 use std::sync::Arc;
 
 /// Why a matrix could not be factorized.
@@ -36,12 +38,13 @@ pub enum FactorizationError {
     TooLarge,
 }
 
-/// A sparse Cholesky factorization, ready to solve.
+/// A sparse Cholesky factorization, ready to solve, whose factor is held in numbers `T`. Right-hand sides and solutions
+/// are in double precision.
 #[derive(Debug)]
-pub struct SparseCholesky {
+pub struct SparseCholesky<T = f64> {
     symbolic: Arc<SymbolicCholesky>,
     /// Of each piece of the analysis.
-    values: Vec<Vec<f64>>,
+    values: Vec<Vec<T>>,
 }
 
 impl SparseCholesky {
@@ -70,6 +73,25 @@ impl SparseCholesky {
         Ok(SparseCholesky { symbolic, values })
     }
 
+    /// The factor rounded to single precision. Solves with it read half as much, and are as exact as the matrix is well
+    /// conditioned.
+    pub fn rounded(&self) -> SparseCholesky<f32> {
+        let rounded = |piece: &Vec<f64>| piece.iter().map(|value| *value as f32).collect();
+        SparseCholesky {
+            symbolic: self.symbolic.clone(),
+            values: self.values.par_iter().map(rounded).collect(),
+        }
+    }
+
+    /// Overwrites eight vectors, whose rows are in the order of the factor ([`SymbolicCholesky::order`]), by A⁻¹ of
+    /// them.
+    pub fn solve_lanes(&self, b: &mut LaneBlock) {
+        assert_eq!(b.n(), self.n());
+        solve::solve_lanes(&self.symbolic, &self.values, b);
+    }
+}
+
+impl<T: Real> SparseCholesky<T> {
     /// The structure, to factorize other matrices with the same pattern.
     pub fn symbolic(&self) -> &Arc<SymbolicCholesky> {
         &self.symbolic
@@ -82,27 +104,38 @@ impl SparseCholesky {
 
     /// Overwrites B (n×k) by A⁻¹B.
     pub fn solve_in_place(&self, b: MatMut<'_, f64>) {
-        assert_eq!(b.nrows(), self.n());
-        solve::solve_in_place(&self.symbolic, &self.values, Half::Both, b);
+        self.run(Task::Both, b);
     }
 
-    /// Overwrites eight vectors, whose rows are in the order of the factor ([`SymbolicCholesky::order`]), by A⁻¹ of
-    /// them.
-    pub fn solve_lanes(&self, b: &mut LaneBlock) {
-        assert_eq!(b.n(), self.n());
-        solve::solve_lanes(&self.symbolic, &self.values, b);
+    /// The same with `rows` of X = L⁻¹B, in the order of the factor, changed on the way: `correction` makes of these
+    /// (rows × some columns) what to add to them.
+    pub fn solve_corrected(
+        &self,
+        b: MatMut<'_, f64>,
+        rows: &[u32],
+        correction: &(dyn Fn(MatRef<'_, f64>) -> Mat<f64> + Sync),
+    ) {
+        self.run(Task::Corrected(rows, correction), b);
     }
 
     /// Overwrites B (n×k) by L⁻¹B, whose rows are in the order of the factor.
     pub fn forward_in_place(&self, b: MatMut<'_, f64>) {
-        assert_eq!(b.nrows(), self.n());
-        solve::solve_in_place(&self.symbolic, &self.values, Half::Forward, b);
+        self.run(Task::Forward, b);
     }
 
     /// Overwrites B (n×k), whose rows are in the order of the factor, by L⁻ᵀB.
     pub fn backward_in_place(&self, b: MatMut<'_, f64>) {
+        self.run(Task::Backward, b);
+    }
+
+    /// `B ← L⁻ᵀX` of X that has entries in `rows` alone, in the order of the factor, which are `x` (rows × k).
+    pub fn spread(&self, b: MatMut<'_, f64>, rows: &[u32], x: MatRef<'_, f64>) {
+        self.run(Task::Spread(rows, x), b);
+    }
+
+    fn run(&self, task: Task<'_>, b: MatMut<'_, f64>) {
         assert_eq!(b.nrows(), self.n());
-        solve::solve_in_place(&self.symbolic, &self.values, Half::Backward, b);
+        solve::solve_in_place(&self.symbolic, &self.values, task, b);
     }
 
     /// Bytes held by the factor.
@@ -133,7 +166,6 @@ pub fn shifted(stiffness: &BlockMatrix, sigma_per_s2: f64, mass: &Mass) -> Block
 mod tests {
     use super::*;
     use crate::assembly::sparse::Pattern;
-    use faer::Mat;
     use std::sync::Arc;
 
     /// A chain of 3×3 blocks, diagonally dominant; two disconnected pieces.
@@ -265,7 +297,55 @@ mod tests {
             half.add_times(sum.as_mut(), 2.0, z.as_ref());
             assert!(close(sum, x + faer::Scale(2.0) * &dense * &z), "{k}");
         }
-        assert!(factor.forward_sparse(&[vec![(0, 1.0)]]).n_rows() < n / 2);
+        let one = factor.forward_sparse(&[vec![(0, 1.0)]]);
+        assert!(one.n_rows() < n / 2);
+    }
+
+    #[test]
+    fn a_rounded_factor_solves_to_single_precision_whatever_the_size_of_numbers() {
+        let a = grid(13);
+        let factor = SparseCholesky::of_blocks(&a).unwrap();
+        let rounded = factor.rounded();
+        assert_eq!(2 * rounded.bytes(), factor.bytes());
+        for k in [1, 16, 20, 48, 70] {
+            let size = |j: usize| [1.0, 1e-70, 1e70, 0.0][j % 4];
+            let b = Mat::from_fn(a.n(), k, |i, j| size(j) * ((i + 7 * j) as f64).cos());
+            let [mut exact, mut x] = [b.clone(), b];
+            factor.solve_in_place(exact.as_mut());
+            rounded.solve_in_place(x.as_mut());
+            for j in 0..k {
+                let error = (x.col(j) - exact.col(j)).norm_max();
+                assert!(error <= 1e-5 * exact.col(j).norm_max(), "{k} {j}: {error:e}");
+            }
+        }
+    }
+
+    #[test]
+    fn rows_are_corrected_between_the_halves() {
+        let a = grid(9);
+        let n = a.n();
+        let factor = SparseCholesky::of_blocks(&a).unwrap();
+        let rows: Vec<u32> = (0..n as u32).filter(|row| row % 7 == 3).collect();
+        let b = Mat::from_fn(n, 40, |i, j| ((i + 7 * j) as f64).cos());
+        let mut expected = b.clone();
+        factor.forward_in_place(expected.as_mut());
+        let mut sparse = Mat::zeros(rows.len(), 40);
+        for (i, &row) in rows.iter().enumerate() {
+            for j in 0..40 {
+                sparse[(i, j)] = -0.5 * expected[(row as usize, j)];
+                expected[(row as usize, j)] *= 0.5;
+            }
+        }
+        factor.backward_in_place(expected.as_mut());
+        let mut found = b.clone();
+        factor.solve_corrected(found.as_mut(), &rows, &|x| faer::Scale(-0.5) * x);
+        assert!((&found - &expected).norm_max() < 1e-14);
+        // What the rows alone lead to.
+        let mut whole = b;
+        factor.solve_in_place(whole.as_mut());
+        let mut spread = Mat::zeros(n, 40);
+        factor.spread(spread.as_mut(), &rows, sparse.as_ref());
+        assert!((whole + spread - expected).norm_max() < 1e-14);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 
 use super::SparseCholesky;
 use super::solve;
+use crate::lanes::kernels::Real;
 use crate::linalg;
 use faer::{Mat, MatMut, MatRef};
 
@@ -15,7 +16,7 @@ pub struct ReachedRows {
     values: Mat<f64>,
 }
 
-impl SparseCholesky {
+impl<T: Real> SparseCholesky<T> {
     /// L⁻¹A for the columns of A, each as its entries' rows (of the matrix) and values.
     pub fn forward_sparse(&self, columns: &[Vec<(usize, f64)>]) -> ReachedRows {
         let (rows, values) = solve::forward_sparse(&self.symbolic, &self.values, columns);
@@ -24,6 +25,16 @@ impl SparseCholesky {
 }
 
 impl ReachedRows {
+    /// The rows that are kept, in the order of the factor.
+    pub fn rows(&self) -> &[u32] {
+        &self.rows
+    }
+
+    /// Those rows of L⁻¹A.
+    pub fn values(&self) -> MatRef<'_, f64> {
+        self.values.as_ref()
+    }
+
     /// Rows that are kept.
     pub fn n_rows(&self) -> usize {
         self.rows.len()

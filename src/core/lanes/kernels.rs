@@ -2,22 +2,147 @@
 
 #![expect(clippy::needless_range_loop, reason = "see the note on loops below")]
 
+use bytemuck::Pod;
 use pulp::{Arch, Simd, WithSimd};
+use std::fmt::Debug;
+use std::ops::AddAssign;
 
-/// Values of `N` right-hand sides at one row; `N` is 8, 16 or 32.
-pub(crate) type Row<const N: usize> = [f64; N];
+/// Numbers of a factor and of what is solved with it: in double precision, or in single, of which twice as many fit into a
+/// register and come from memory in the same time.
+pub trait Real: Pod + Default + PartialEq + Debug + AddAssign + Send + Sync {
+    /// Numbers of right-hand sides that are solved for at a time, ascending; the fewest fill a register of AVX-512.
+    const WIDTHS: [usize; 3];
+
+    /// Right-hand sides for which the solutions of a group's columns stay in the registers of AVX-512.
+    const AT_A_TIME: usize;
+
+    /// Whether numbers that doubles can be are beyond its range.
+    const IS_NARROW: bool;
+
+    /// A register full.
+    type Register<S: Simd>: Copy;
+
+    /// The nearest number.
+    fn nearest(x: f64) -> Self;
+    /// The same number.
+    fn double(self) -> f64;
+    /// One over it.
+    fn recip(self) -> Self;
+    /// Numbers in a register.
+    fn lanes<S: Simd>() -> usize;
+    /// `x` in all lanes.
+    fn splat<S: Simd>(simd: S, x: Self) -> Self::Register<S>;
+    /// `x - y`.
+    fn sub<S: Simd>(simd: S, x: Self::Register<S>, y: Self::Register<S>) -> Self::Register<S>;
+    /// `x·y`.
+    fn mul<S: Simd>(simd: S, x: Self::Register<S>, y: Self::Register<S>) -> Self::Register<S>;
+    /// `x·y + z`.
+    fn mul_add<S: Simd>(
+        simd: S,
+        x: Self::Register<S>,
+        y: Self::Register<S>,
+        z: Self::Register<S>,
+    ) -> Self::Register<S>;
+    /// The register full of `row` at `part`.
+    fn load<S: Simd>(row: &[Self], part: usize) -> Self::Register<S>;
+    /// The same, written.
+    fn store<S: Simd>(row: &mut [Self], part: usize, x: Self::Register<S>);
+}
+
+macro_rules! real {
+    ($real:ty, $widths:expr, $at_a_time:literal, $is_narrow:literal, $register:ident, $lanes:ident, $splat:ident, $sub:ident, $mul:ident,
+     $mul_add:ident, $load:ident, $store:ident) => {
+        impl Real for $real {
+            const WIDTHS: [usize; 3] = $widths;
+            const AT_A_TIME: usize = $at_a_time;
+            const IS_NARROW: bool = $is_narrow;
+            type Register<S: Simd> = S::$register;
+
+            fn nearest(x: f64) -> Self {
+                x as Self
+            }
+            fn double(self) -> f64 {
+                self.into()
+            }
+            fn recip(self) -> Self {
+                1.0 / self
+            }
+            #[inline(always)]
+            fn lanes<S: Simd>() -> usize {
+                S::$lanes
+            }
+            #[inline(always)]
+            fn splat<S: Simd>(simd: S, x: Self) -> S::$register {
+                simd.$splat(x)
+            }
+            #[inline(always)]
+            fn sub<S: Simd>(simd: S, x: S::$register, y: S::$register) -> S::$register {
+                simd.$sub(x, y)
+            }
+            #[inline(always)]
+            fn mul<S: Simd>(simd: S, x: S::$register, y: S::$register) -> S::$register {
+                simd.$mul(x, y)
+            }
+            #[inline(always)]
+            fn mul_add<S: Simd>(
+                simd: S,
+                x: S::$register,
+                y: S::$register,
+                z: S::$register,
+            ) -> S::$register {
+                simd.$mul_add(x, y, z)
+            }
+            #[inline(always)]
+            fn load<S: Simd>(row: &[Self], part: usize) -> S::$register {
+                S::$load(row).0[part]
+            }
+            #[inline(always)]
+            fn store<S: Simd>(row: &mut [Self], part: usize, x: S::$register) {
+                S::$store(row).0[part] = x;
+            }
+        }
+    };
+}
+
+real!(
+    f64,
+    [8, 16, 32],
+    16,
+    false,
+    f64s,
+    F64_LANES,
+    splat_f64s,
+    sub_f64s,
+    mul_f64s,
+    mul_add_f64s,
+    as_simd_f64s,
+    as_mut_simd_f64s
+);
+real!(
+    f32,
+    [16, 32, 48],
+    48,
+    true,
+    f32s,
+    F32_LANES,
+    splat_f32s,
+    sub_f32s,
+    mul_f32s,
+    mul_add_f32s,
+    as_simd_f32s,
+    as_mut_simd_f32s
+);
+
+/// Values of `N` right-hand sides at one row; `N` is one of [`Real::WIDTHS`].
+pub(crate) type Row<T, const N: usize> = [T; N];
 
 /// Columns of a whole group.
 pub(crate) const GROUP: usize = 8;
 
-/// Right-hand sides at a time: with so many, the solutions of a group's columns stay in the registers of
-/// AVX-512.
-const LANES_AT_A_TIME: usize = 16;
-
 /// Consecutive rows of a group.
 #[derive(Clone, Copy)]
-pub(crate) struct Rows<'a, const C: usize> {
-    pub(crate) l: &'a [[f64; C]],
+pub(crate) struct Rows<'a, T, const C: usize> {
+    pub(crate) l: &'a [[T; C]],
     pub(crate) fetch: Fetch,
 }
 
@@ -43,7 +168,7 @@ impl Fetch {
 
     /// On the way down, at row `i`.
     #[inline(always)]
-    fn ahead<const C: usize>(self, l: &[[f64; C]], i: usize) {
+    fn ahead<T, const C: usize>(self, l: &[[T; C]], i: usize) {
         if C != GROUP {
             return;
         }
@@ -55,7 +180,7 @@ impl Fetch {
 
     /// On the way up, at row `i`.
     #[inline(always)]
-    fn behind<const C: usize>(self, l: &[[f64; C]], i: usize) {
+    fn behind<T, const C: usize>(self, l: &[[T; C]], i: usize) {
         if C != GROUP {
             return;
         }
@@ -75,47 +200,44 @@ pub(crate) fn dispatch(operation: impl WithSimd<Output = ()>) {
 // Loops, not iterator or array methods: those are not sure to be inlined into code compiled for the
 // processor at hand, and cost tenfold when they are not.
 
-#[inline(always)]
-pub(crate) fn load<S: Simd, const N: usize>(row: &Row<N>, part: usize) -> S::f64s {
-    S::as_simd_f64s(row).0[part]
-}
-
-#[inline(always)]
-pub(crate) fn store<S: Simd, const N: usize>(row: &mut Row<N>, part: usize, x: S::f64s) {
-    S::as_mut_simd_f64s(row).0[part] = x;
-}
-
 /// Y ← Y − LX for rows of one group.
 #[inline(always)]
-pub(crate) fn subtract_rows<S: Simd, const N: usize, const C: usize>(
+pub(crate) fn subtract_rows<S: Simd, T: Real, const N: usize, const C: usize>(
     simd: S,
-    rows: Rows<'_, C>,
-    x: &[Row<N>],
-    y: &mut [Row<N>],
+    rows: Rows<'_, T, C>,
+    x: &[Row<T, N>],
+    y: &mut [Row<T, N>],
 ) {
-    if N > LANES_AT_A_TIME {
-        subtract_lanes::<S, N, C, 0, LANES_AT_A_TIME>(simd, rows, x, y);
-        subtract_lanes::<S, N, C, LANES_AT_A_TIME, LANES_AT_A_TIME>(simd, rows, x, y);
+    if N > T::AT_A_TIME {
+        subtract_lanes::<S, T, N, C, 0, 16>(simd, rows, x, y);
+        subtract_lanes::<S, T, N, C, 16, 16>(simd, rows, x, y);
     } else {
-        subtract_lanes::<S, N, C, 0, N>(simd, rows, x, y);
+        subtract_lanes::<S, T, N, C, 0, N>(simd, rows, x, y);
     }
 }
 
 /// The same for `W` right-hand sides from `LANE` on.
 #[inline(always)]
-fn subtract_lanes<S: Simd, const N: usize, const C: usize, const LANE: usize, const W: usize>(
+fn subtract_lanes<
+    S: Simd,
+    T: Real,
+    const N: usize,
+    const C: usize,
+    const LANE: usize,
+    const W: usize,
+>(
     simd: S,
-    rows: Rows<'_, C>,
-    x: &[Row<N>],
-    y: &mut [Row<N>],
+    rows: Rows<'_, T, C>,
+    x: &[Row<T, N>],
+    y: &mut [Row<T, N>],
 ) {
     let Rows { l, fetch } = rows;
-    let zero = simd.splat_f64s(0.0);
-    let (begin, n_parts) = (LANE / S::F64_LANES, W / S::F64_LANES);
+    let zero = T::splat(simd, T::default());
+    let (begin, n_parts) = (LANE / T::lanes::<S>(), W / T::lanes::<S>());
     let mut minus = [[zero; W]; C];
     for c in 0..C {
         for part in 0..n_parts {
-            minus[c][part] = simd.sub_f64s(zero, load::<S, N>(&x[c], begin + part));
+            minus[c][part] = T::sub(simd, zero, T::load::<S>(&x[c], begin + part));
         }
     }
     let y = &mut y[..l.len()];
@@ -125,31 +247,31 @@ fn subtract_lanes<S: Simd, const N: usize, const C: usize, const LANE: usize, co
         }
         let mut factor = [zero; C];
         for c in 0..C {
-            factor[c] = simd.splat_f64s(l[i][c]);
+            factor[c] = T::splat(simd, l[i][c]);
         }
         for part in 0..n_parts {
-            let mut sum = load::<S, N>(&y[i], begin + part);
+            let mut sum = T::load::<S>(&y[i], begin + part);
             for c in 0..C {
-                sum = simd.mul_add_f64s(factor[c], minus[c][part], sum);
+                sum = T::mul_add(simd, factor[c], minus[c][part], sum);
             }
-            store::<S, N>(&mut y[i], begin + part, sum);
+            T::store::<S>(&mut y[i], begin + part, sum);
         }
     }
 }
 
 /// X ← X − LᵀY for rows of one group.
 #[inline(always)]
-pub(crate) fn subtract_transposed_rows<S: Simd, const N: usize, const C: usize>(
+pub(crate) fn subtract_transposed_rows<S: Simd, T: Real, const N: usize, const C: usize>(
     simd: S,
-    rows: Rows<'_, C>,
-    x: &mut [Row<N>],
-    y: &[Row<N>],
+    rows: Rows<'_, T, C>,
+    x: &mut [Row<T, N>],
+    y: &[Row<T, N>],
 ) {
-    if N > LANES_AT_A_TIME {
-        subtract_transposed_lanes::<S, N, C, 0, LANES_AT_A_TIME>(simd, rows, x, y);
-        subtract_transposed_lanes::<S, N, C, LANES_AT_A_TIME, LANES_AT_A_TIME>(simd, rows, x, y);
+    if N > T::AT_A_TIME {
+        subtract_transposed_lanes::<S, T, N, C, 0, 16>(simd, rows, x, y);
+        subtract_transposed_lanes::<S, T, N, C, 16, 16>(simd, rows, x, y);
     } else {
-        subtract_transposed_lanes::<S, N, C, 0, N>(simd, rows, x, y);
+        subtract_transposed_lanes::<S, T, N, C, 0, N>(simd, rows, x, y);
     }
 }
 
@@ -157,19 +279,20 @@ pub(crate) fn subtract_transposed_rows<S: Simd, const N: usize, const C: usize>(
 #[inline(always)]
 fn subtract_transposed_lanes<
     S: Simd,
+    T: Real,
     const N: usize,
     const C: usize,
     const LANE: usize,
     const W: usize,
 >(
     simd: S,
-    rows: Rows<'_, C>,
-    x: &mut [Row<N>],
-    y: &[Row<N>],
+    rows: Rows<'_, T, C>,
+    x: &mut [Row<T, N>],
+    y: &[Row<T, N>],
 ) {
     let Rows { l, fetch } = rows;
-    let zero = simd.splat_f64s(0.0);
-    let (begin, n_parts) = (LANE / S::F64_LANES, W / S::F64_LANES);
+    let zero = T::splat(simd, T::default());
+    let (begin, n_parts) = (LANE / T::lanes::<S>(), W / T::lanes::<S>());
     let mut sums = [[zero; W]; C];
     let y = &y[..l.len()];
     // From the end, as the groups.
@@ -180,44 +303,45 @@ fn subtract_transposed_lanes<
         }
         let mut row = [zero; W];
         for part in 0..n_parts {
-            row[part] = load::<S, N>(&y[i], begin + part);
+            row[part] = T::load::<S>(&y[i], begin + part);
         }
         for c in 0..C {
-            let factor = simd.splat_f64s(l[i][c]);
+            let factor = T::splat(simd, l[i][c]);
             for part in 0..n_parts {
-                sums[c][part] = simd.mul_add_f64s(factor, row[part], sums[c][part]);
+                sums[c][part] = T::mul_add(simd, factor, row[part], sums[c][part]);
             }
         }
     }
     for c in 0..C {
         for part in 0..n_parts {
-            let before = load::<S, N>(&x[c], begin + part);
-            store::<S, N>(&mut x[c], begin + part, simd.sub_f64s(before, sums[c][part]));
+            let before = T::load::<S>(&x[c], begin + part);
+            T::store::<S>(&mut x[c], begin + part, T::sub(simd, before, sums[c][part]));
         }
     }
 }
 
 /// `y -= factor·x`.
 #[inline(always)]
-pub(crate) fn subtract_row<S: Simd, const N: usize>(
+pub(crate) fn subtract_row<S: Simd, T: Real, const N: usize>(
     simd: S,
-    factor: f64,
-    x: &Row<N>,
-    y: &mut Row<N>,
+    factor: T,
+    x: &Row<T, N>,
+    y: &mut Row<T, N>,
 ) {
-    let minus = simd.splat_f64s(-factor);
-    for part in 0..N / S::F64_LANES {
-        let sum = simd.mul_add_f64s(minus, load::<S, N>(x, part), load::<S, N>(y, part));
-        store::<S, N>(y, part, sum);
+    let minus = T::sub(simd, T::splat(simd, T::default()), T::splat(simd, factor));
+    for part in 0..N / T::lanes::<S>() {
+        let sum = T::mul_add(simd, minus, T::load::<S>(x, part), T::load::<S>(y, part));
+        T::store::<S>(y, part, sum);
     }
 }
 
+/// `x *= factor`.
 #[inline(always)]
-pub(crate) fn scale<S: Simd, const N: usize>(simd: S, x: &mut Row<N>, factor: f64) {
-    let factor = simd.splat_f64s(factor);
-    for part in 0..N / S::F64_LANES {
-        let scaled = simd.mul_f64s(load::<S, N>(x, part), factor);
-        store::<S, N>(x, part, scaled);
+pub(crate) fn scale<S: Simd, T: Real, const N: usize>(simd: S, x: &mut Row<T, N>, factor: T) {
+    let factor = T::splat(simd, factor);
+    for part in 0..N / T::lanes::<S>() {
+        let scaled = T::mul(simd, T::load::<S>(x, part), factor);
+        T::store::<S>(x, part, scaled);
     }
 }
 

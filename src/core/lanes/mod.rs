@@ -9,7 +9,7 @@
 pub(crate) mod kernels;
 
 use faer::{Mat, MatMut, MatRef};
-use kernels::{dispatch, load, store};
+use kernels::{Real, dispatch};
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
@@ -250,7 +250,7 @@ impl WithSimd for AddGram<'_> {
         for i in 0..x.len() {
             prefetch_index::prefetch_index(next, i);
             for part in 0..n_parts {
-                let y = load::<S, LANES>(&y[i], part);
+                let y = f64::load::<S>(&y[i], part);
                 for c in 0..LANES {
                     acc[c][part] = simd.mul_add_f64s(simd.splat_f64s(x[i][c]), y, acc[c][part]);
                 }
@@ -258,8 +258,8 @@ impl WithSimd for AddGram<'_> {
         }
         for c in 0..LANES {
             for part in 0..n_parts {
-                let sum = simd.add_f64s(load::<S, LANES>(&sums[c], part), acc[c][part]);
-                store::<S, LANES>(&mut sums[c], part, sum);
+                let sum = simd.add_f64s(f64::load::<S>(&sums[c], part), acc[c][part]);
+                f64::store::<S>(&mut sums[c], part, sum);
             }
         }
     }
@@ -285,18 +285,18 @@ impl WithSimd for SubtractProduct<'_> {
         let mut minus = [[zero; LANES]; LANES];
         for k in 0..LANES {
             for part in 0..n_parts {
-                minus[k][part] = simd.sub_f64s(zero, load::<S, LANES>(&c[k], part));
+                minus[k][part] = simd.sub_f64s(zero, f64::load::<S>(&c[k], part));
             }
         }
         let y = &mut y[..x.len()];
         for i in 0..x.len() {
             prefetch_index::prefetch_index(next, i);
             for part in 0..n_parts {
-                let mut sum = load::<S, LANES>(&y[i], part);
+                let mut sum = f64::load::<S>(&y[i], part);
                 for k in 0..LANES {
                     sum = simd.mul_add_f64s(simd.splat_f64s(x[i][k]), minus[k][part], sum);
                 }
-                store::<S, LANES>(&mut y[i], part, sum);
+                f64::store::<S>(&mut y[i], part, sum);
             }
         }
     }

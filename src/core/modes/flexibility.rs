@@ -31,9 +31,9 @@ const CANCELLED: f64 = 1e-8;
 const MOST_PROJECTIONS: usize = 3;
 
 /// The base body's modes and the new problem.
-pub struct Update<'a> {
+pub struct Update<'a, T = f64> {
     /// K̂ and K̂_σ⁻¹.
-    pub stitched: &'a StitchedStiffness<'a>,
+    pub stitched: &'a StitchedStiffness<'a, T>,
     /// M.
     pub mass: &'a Mass,
     /// σ in 1/s².
@@ -46,6 +46,8 @@ pub struct Update<'a> {
     pub base: MatRef<'a, f64>,
     /// Their eigenvalues.
     pub eigenvalues: &'a [f64],
+    /// And their residuals ([`relative_residuals`], or bounds of these).
+    pub residuals: &'a [f64],
     /// Modes wanted.
     pub n_modes: usize,
     /// Relative eigenvalue error accepted for the lower half of the modes.
@@ -228,20 +230,9 @@ impl<'a> TrialSpace<'a> {
         Ok(())
     }
 
-    /// Ritz pairs in shift-invert form, which is well conditioned whatever the stiffness of the
-    /// stitches: θ = 1/(λ + σ) descending, and coefficients C with (SC)ᵀM(SC) = I.
+    /// θ = 1/(λ + σ) descending, and coefficients C with (SC)ᵀM(SC) = I.
     fn ritz(&self) -> Result<(Vec<f64>, Mat<f64>), DenseError> {
-        let b = linalg::orthonormal_coefficients(self.gram_k.as_ref(), DEPENDENT)?;
-        let mb = linalg::small_product(self.gram_m.as_ref(), b.as_ref());
-        let (theta, y) =
-            linalg::symmetric_eigen(linalg::small_product(b.transpose(), mb.as_ref()).as_ref())?;
-        let k = theta.len();
-        let by = linalg::small_product(b.as_ref(), y.as_ref());
-        let theta: Vec<f64> = theta.into_iter().rev().collect();
-        let c = Mat::from_fn(by.nrows(), k, |i, j| {
-            by[(i, k - 1 - j)] / theta[j].max(f64::MIN_POSITIVE).sqrt()
-        });
-        Ok((theta, c))
+        linalg::inverse_ritz(self.gram_k.as_ref(), self.gram_m.as_ref(), DEPENDENT)
     }
 }
 
@@ -258,7 +249,10 @@ pub fn update(
     // S = [rigid, U] and T = K_σ⁻¹A (I + C)⁻¹ AᵀS.
     let mut space = TrialSpace::new(problem);
     if a.n_columns() > 0 {
-        space.extend(stitched.flexed(space.stretch.as_ref()))?;
+        let z = stitched.relaxed(space.stretch.as_ref());
+        let mut t = Mat::zeros(base.nrows(), z.ncols());
+        stitched.flexed_into(t.as_mut(), z.as_ref());
+        space.extend(t)?;
     }
     let kept = problem.eigenvalues.len();
     let mut round = 0;

@@ -8,6 +8,7 @@ pub mod low_rank;
 pub mod prepared;
 pub mod rigid;
 pub mod seams;
+pub mod series;
 pub mod shift;
 pub mod stitched;
 

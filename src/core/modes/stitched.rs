@@ -9,6 +9,7 @@ use crate::assembly::sparse::BlockMatrix;
 use crate::dictionary::Combination;
 use crate::edit::{Stitch, sorted};
 use crate::factorization::{ReachedRows, SparseCholesky};
+use crate::lanes::kernels::Real;
 use crate::linalg::{self, DenseError, SmallCholesky};
 use faer::{Mat, MatMut, MatRef};
 use rayon::prelude::*;
@@ -122,10 +123,10 @@ impl StitchMatrix {
     }
 }
 
-/// K̂ and K̂_σ⁻¹ of a stitched body.
-pub struct StitchedStiffness<'a> {
+/// K̂ and K̂_σ⁻¹ of a stitched body, the latter by a factor in numbers `T`.
+pub struct StitchedStiffness<'a, T = f64> {
     stiffness: &'a BlockMatrix,
-    factor: &'a SparseCholesky,
+    factor: &'a SparseCholesky<T>,
     a: StitchMatrix,
     /// L⁻¹A.
     half: ReachedRows,
@@ -133,14 +134,14 @@ pub struct StitchedStiffness<'a> {
     capacitance: SmallCholesky,
 }
 
-impl<'a> StitchedStiffness<'a> {
+impl<'a, T: Real> StitchedStiffness<'a, T> {
     /// Takes half a solve for each column of A, of which most of the factor is skipped.
     pub fn new(
         model: &FullModel,
         stiffness: &'a BlockMatrix,
-        factor: &'a SparseCholesky,
+        factor: &'a SparseCholesky<T>,
         stitches: &[Stitch],
-    ) -> Result<StitchedStiffness<'a>, DenseError> {
+    ) -> Result<StitchedStiffness<'a, T>, DenseError> {
         let a = StitchMatrix::new(model, stitches);
         let half = factor.forward_sparse(&a.columns());
         let mut sum = half.gram();
@@ -154,12 +155,15 @@ impl<'a> StitchedStiffness<'a> {
         &self.a
     }
 
-    /// `K_σ⁻¹A (I + C)⁻¹ Z` (3s×k → n×k).
-    pub fn flexed(&self, z: MatRef<'_, f64>) -> Mat<f64> {
-        let mut x = Mat::zeros(self.factor.n(), z.ncols());
-        self.half.add_times(x.as_mut(), 1.0, self.capacitance.solve(z).as_ref());
-        self.factor.backward_in_place(x.as_mut());
-        x
+    /// `(I + C)⁻¹Z`.
+    pub fn relaxed(&self, z: MatRef<'_, f64>) -> Mat<f64> {
+        self.capacitance.solve(z)
+    }
+
+    /// `X ← K_σ⁻¹A Z` (Z is 3s×k, X n×k).
+    pub fn flexed_into(&self, x: MatMut<'_, f64>, z: MatRef<'_, f64>) {
+        let half = linalg::product(self.half.values(), z);
+        self.factor.spread(x, self.half.rows(), half.as_ref());
     }
 
     /// `K̂X`.
@@ -176,12 +180,12 @@ impl<'a> StitchedStiffness<'a> {
     }
 
     /// Overwrites B by `K̂_σ⁻¹B`: the stitches take their part between the two halves of the solve.
-    pub fn solve_in_place(&self, mut b: MatMut<'_, f64>) {
-        if self.a.n_columns() == 0 {
-            return self.factor.solve_in_place(b);
-        }
-        self.forward_in_place(b.as_mut());
-        self.factor.backward_in_place(b);
+    pub fn solve_in_place(&self, b: MatMut<'_, f64>) {
+        let correction = |x: MatRef<'_, f64>| {
+            let z = self.capacitance.solve(linalg::gram(self.half.values(), x).as_ref());
+            linalg::product(self.half.values(), (-z).as_ref())
+        };
+        self.factor.solve_corrected(b, self.half.rows(), &correction);
     }
 
     /// The first half of a solve for B (n×k), which tells the energies BᵀK̂_σ⁻¹B.

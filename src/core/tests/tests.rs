@@ -19,6 +19,7 @@ mod reduced;
 mod references;
 mod refusals;
 mod seams;
+mod series;
 mod snapshots;
 mod supports;
 mod trajectories;
