@@ -251,12 +251,17 @@ fn orthonormalize(mass: &Mass, x: &mut Mat<f64>) -> Result<Mat<f64>, DenseError>
     let mut all = Mat::identity(x.ncols(), x.ncols());
     for _ in 0..3 {
         let gram = mass.gram(x.as_ref());
-        if linalg::distance_from_identity(gram.as_ref()) < 1e-13 {
+        let distance = linalg::distance_from_identity(gram.as_ref());
+        if distance < 1e-13 {
             break;
         }
         let turn = SmallCholesky::new(gram.as_ref())?.whitening();
         linalg::turn(x.as_mut(), turn.as_ref());
         all = linalg::small_product(all.as_ref(), turn.as_ref());
+        // What a turn so small leaves is rounding.
+        if distance < 1e-8 {
+            break;
+        }
     }
     Ok(all)
 }

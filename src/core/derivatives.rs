@@ -82,8 +82,8 @@ impl Solver<'_> {
         if self.rigid.ncols() > 0 {
             self.balance(x.as_mut());
         }
-        let [b, r] = scratch.0.each_mut().map(|pooled| pooled.columns_mut(x.nrows(), k));
-        let (mut b, mut r) = (b, r);
+        let n = x.nrows();
+        let [mut b, mut r] = scratch.0.each_mut().map(|pooled| pooled.columns_mut(n, k));
         linalg::copy(b.as_mut(), x.as_ref());
         let b = b.as_ref();
         let norms = linalg::column_norms(b);

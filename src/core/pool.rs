@@ -22,35 +22,44 @@ const LEAST_NUMBERS: usize = 1 << 17;
 static POOL: Pool = Pool(Mutex::new(Vec::new()));
 
 /// Numbers whose memory goes back to the pool.
-#[derive(Debug, Default)]
-pub struct Pooled(Vec<f64>);
+#[derive(Debug)]
+pub struct Pooled {
+    memory: Vec<f64>,
+    count: usize,
+}
 
 impl Pooled {
     /// `count` numbers of any value.
     pub fn take(count: usize) -> Pooled {
-        Pooled(POOL.take(count).unwrap_or_else(|| vec![0.0; count]))
+        Pooled { memory: POOL.take(count).unwrap_or_else(|| vec![0.0; count]), count }
     }
 
-    /// The first `count` numbers.
-    pub fn numbers(&mut self, count: usize) -> &mut [f64] {
-        &mut self.0[..count]
+    /// All of them.
+    pub fn numbers(&mut self) -> &mut [f64] {
+        &mut self.memory[..self.count]
     }
 
     /// The first of them as a matrix (n×k).
     pub fn columns(&self, n: usize, k: usize) -> MatRef<'_, f64> {
-        MatRef::from_column_major_slice(&self.0[..n * k], n, k)
+        MatRef::from_column_major_slice(&self.memory[..n * k], n, k)
     }
 
     /// The same, to be changed.
     pub fn columns_mut(&mut self, n: usize, k: usize) -> MatMut<'_, f64> {
-        MatMut::from_column_major_slice_mut(&mut self.0[..n * k], n, k)
+        MatMut::from_column_major_slice_mut(&mut self.memory[..n * k], n, k)
     }
 }
 
 impl Drop for Pooled {
     fn drop(&mut self) {
-        POOL.give(std::mem::take(&mut self.0));
+        POOL.give(std::mem::take(&mut self.memory));
     }
+}
+
+/// Gives up what is kept, where what follows has another use for the memory.
+pub fn clear() {
+    let freed = std::mem::take(&mut *POOL.kept());
+    drop(freed);
 }
 
 /// Pieces that nobody uses, the oldest first.
@@ -125,7 +134,7 @@ mod tests {
     fn numbers_lie_by_columns() {
         let mut pooled = Pooled::take(12);
         pooled.columns_mut(4, 3)[(1, 2)] = 7.0;
-        assert_eq!(pooled.numbers(10)[9], 7.0);
+        assert_eq!(pooled.numbers()[9], 7.0);
         assert_eq!(pooled.columns(4, 3)[(1, 2)], 7.0);
     }
 }

@@ -6,7 +6,7 @@
 
 use super::FullModel;
 use super::kernels::Forces;
-use super::tiles::{LANES, MOST_GROUPS, NO_ROW, Row};
+use super::tiles::{self, LANES, MOST_GROUPS, NO_ROW, Row};
 use crate::linalg;
 use faer::{Mat, MatRef};
 use rayon::prelude::*;
@@ -95,8 +95,10 @@ impl FullModel {
             rows
         };
         let x: Vec<Vec<Row>> = (0..n_tasks).into_par_iter().map(rows_at).collect();
-        let mut rows = tiles.no_rows(n_groups);
-        tiles.for_each_tile(&mut rows, n_groups, |tile, sums| {
+        let mut memory = tiles.memory_for_rows(n_groups);
+        let rows = tiles::rows(&mut memory);
+        tiles.for_each_tile(rows, n_groups, |tile, sums| {
+            sums.fill(NO_ROW);
             let of_group = |group: usize| {
                 tile.rows_of(|v| x[v / VERTICES_PER_TASK][v % VERTICES_PER_TASK * n_groups + group])
             };

@@ -317,7 +317,7 @@ fn multiply_rows(
 ) {
     assert_eq!((x.nrows(), x.ncols()), (y.nrows(), y.ncols()));
     let mut pooled = Pooled::take(LANES * x.nrows());
-    let packed: &mut [Lanes] = pooled.numbers(LANES * x.nrows()).as_chunks_mut().0;
+    let packed: &mut [Lanes] = pooled.numbers().as_chunks_mut().0;
     for first in (0..x.ncols()).step_by(LANES) {
         let lanes = LANES.min(x.ncols() - first);
         packed.par_chunks_mut(ROWS_PER_TASK).enumerate().for_each(|(chunk, packed)| {

@@ -12,6 +12,7 @@
 use super::NOT_FREE;
 use super::kernels::SecondDerivatives;
 use crate::material::{Elasticity, Hyperelastic, Law};
+use crate::pool::Pooled;
 use faer::{Mat, MatRef};
 use rayon::prelude::*;
 
@@ -31,6 +32,11 @@ const VERTICES_PER_TASK: usize = 512;
 pub(super) type Row = [[f64; LANES]; 3];
 
 pub(super) const NO_ROW: Row = [[0.0; LANES]; 3];
+
+/// Memory of [`Tiles::memory_for_rows`] as rows of anything.
+pub(super) fn rows(memory: &mut Pooled) -> &mut [Row] {
+    memory.numbers().as_chunks_mut().0.as_chunks_mut().0
+}
 
 /// A tet, with all that sums over tets need of it in one place.
 #[derive(Clone, Debug)]
@@ -191,7 +197,8 @@ impl ElementTiles {
     pub fn second_derivatives_at_rest(&self, x: MatRef<'_, f64>, scale: f64) -> Mat<f64> {
         let k = x.ncols();
         let mut all = Mat::zeros(x.nrows(), k * (k + 1) / 2);
-        let mut rows = self.no_rows(LANES);
+        let mut memory = self.memory_for_rows(LANES);
+        let rows = rows(&mut memory);
         for second in (0..k).step_by(LANES) {
             let count = LANES.min(k - second);
             for first in (0..=second).step_by(LANES) {
@@ -201,7 +208,7 @@ impl ElementTiles {
                     (0..count).map(Partner::Same).collect()
                 };
                 for partners in partners.chunks(MOST_GROUPS) {
-                    self.for_each_tile(&mut rows, partners.len(), |tile, sums| {
+                    self.for_each_tile(rows, partners.len(), |tile, sums| {
                         sums.fill(NO_ROW);
                         let a = tile.gather(x, first);
                         let b = (first != second).then(|| tile.gather(x, second));
@@ -223,16 +230,16 @@ impl ElementTiles {
                                 .collect()
                         })
                         .collect();
-                    self.add_up(&rows, &groups, &mut all);
+                    self.add_up(rows, &groups, &mut all);
                 }
             }
         }
         all
     }
 
-    /// Rows of all tiles for up to [`MOST_GROUPS`] of `n_groups` groups.
-    pub(super) fn no_rows(&self, n_groups: usize) -> Vec<Row> {
-        vec![NO_ROW; self.n_rows * n_groups.min(MOST_GROUPS)]
+    /// Memory for [`rows`] of all tiles for up to [`MOST_GROUPS`] of `n_groups` groups.
+    pub(super) fn memory_for_rows(&self, n_groups: usize) -> Pooled {
+        Pooled::take(3 * LANES * self.n_rows * n_groups.min(MOST_GROUPS))
     }
 
     /// Calls `work(tile, sums)` for every tile, `sums` being `n_groups` of `rows` for each of its vertices

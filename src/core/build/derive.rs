@@ -39,11 +39,11 @@ impl<'a> Body<'a> {
 /// several blocks of this width.
 const DERIVATIVES_PER_SOLVE: usize = 32;
 
-/// Derivatives of every pair of `modes` from their loads (n×p, [`derivatives::right_hand_sides`]), in whose memory
+/// Derivatives of every pair of modes of these eigenvalues from their loads (n×p, [`derivatives::right_hand_sides`]), in whose memory
 /// they are solved for.
 pub(super) fn new_derivatives<'a>(
     body: &Body<'a>,
-    modes: &LinearModes,
+    eigenvalues: &[f64],
     accurate: Option<&'a LinearModes>,
     loads: Mat<f64>,
     control: &dyn Control,
@@ -58,7 +58,7 @@ pub(super) fn new_derivatives<'a>(
         let block = shapes.as_mut().subcols_mut(first, DERIVATIVES_PER_SOLVE.min(p - first));
         residual = residual.max(solver.solve_in_place(block, &mut scratch, control)?);
     }
-    Ok(derivatives_of(modes, shapes, residual))
+    Ok(derivatives_of(eigenvalues, shapes, residual))
 }
 
 /// The same of a body without rigid motions by a factor in single precision. What that leaves of them, in the norm of K̂,
@@ -66,7 +66,7 @@ pub(super) fn new_derivatives<'a>(
 /// where the error is 1e-4, and tell nothing of it.)
 pub(super) fn rounded_derivatives(
     stitched: &StitchedStiffness<'_, f32>,
-    modes: &LinearModes,
+    eigenvalues: &[f64],
     loads: Mat<f64>,
     control: &dyn Control,
 ) -> Result<DerivativeSet, BuildError> {
@@ -77,11 +77,11 @@ pub(super) fn rounded_derivatives(
         let count = at_a_time.min(shapes.ncols() - first);
         stitched.solve_in_place(shapes.as_mut().subcols_mut(first, count));
     }
-    Ok(derivatives_of(modes, shapes, 0.0))
+    Ok(derivatives_of(eigenvalues, shapes, 0.0))
 }
 
-fn derivatives_of(modes: &LinearModes, shapes: Mat<f64>, residual: f64) -> DerivativeSet {
-    let pairs = derivatives::pairs(modes.eigenvalues.len());
-    let eigenvalues = pairs.iter().map(|p| p.map(|i| modes.eigenvalues[i])).collect();
+fn derivatives_of(eigenvalues: &[f64], shapes: Mat<f64>, residual: f64) -> DerivativeSet {
+    let pairs = derivatives::pairs(eigenvalues.len());
+    let eigenvalues = pairs.iter().map(|p| p.map(|i| eigenvalues[i])).collect();
     DerivativeSet { shapes: Arc::new(shapes), pairs, eigenvalues, residual }
 }

@@ -265,7 +265,7 @@ impl<'a> Fit<'a> {
             None => {
                 let basis = basis.dense();
                 let (n, r) = (basis.nrows(), basis.ncols());
-                let mut memory = Pooled::take(n * COLUMNS_AT_A_TIME);
+                let mut memory = Pooled::take(n * COLUMNS_AT_A_TIME.min(r));
                 for first in (0..r).step_by(COLUMNS_AT_A_TIME) {
                     let count = COLUMNS_AT_A_TIME.min(r - first);
                     let mut product = memory.columns_mut(n, count);

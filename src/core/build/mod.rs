@@ -45,6 +45,7 @@ use crate::edit::{Edit, EditState, StitchId};
 use crate::mesh::TetMesh;
 use crate::modes::stitched::{StitchMatrix, StitchedStiffness};
 use crate::modes::{AuditedSpectrum, LinearModes};
+use crate::pool;
 use artifacts::{Origin, Prepared};
 use base::{analyse, base_for, bases_before, prepare};
 use close::closed_shape;
@@ -115,6 +116,8 @@ pub fn build(
 ) -> Result<Artifacts, BuildError> {
     let mut clock = StageClock::start(control);
     let draft = first_draft(mesh, params, &[], &mut clock)?;
+    // Cubature comes next, where a build takes most memory.
+    pool::clear();
     finish(draft, clock)
 }
 
@@ -333,7 +336,7 @@ fn from_scratch(
     let count = params.n_derivative_modes.min(kept.eigenvalues.len());
     let lowest = kept.lowest(count);
     let loads = right_hand_sides(model, lowest.shapes.as_ref(), clock.control)?;
-    let set = new_derivatives(&body, &lowest, Some(&modes), loads, clock.control)?;
+    let set = new_derivatives(&body, &lowest.eigenvalues, Some(&modes), loads, clock.control)?;
     clock.finish(Stage::Derivatives)?;
     let LinearModes { shapes, eigenvalues } = kept;
     let spectrum = AuditedSpectrum::converged(eigenvalues, residuals);

@@ -126,7 +126,7 @@ pub(super) fn base_derivatives(
         rigid: prepared.rigid(),
         tolerance: LOAD_CASE_TOLERANCE,
     };
-    new_derivatives(&body, &lowest, accurate.as_ref(), loads, control)
+    new_derivatives(&body, &lowest.eigenvalues, accurate.as_ref(), loads, control)
 }
 
 /// The `count` lowest elastic modes of the base body, or all of fewer.
@@ -289,6 +289,7 @@ fn solved_loads(
     let body =
         Body { mass, stitched: &stitched, sigma: *sigma, rigid: prepared.rigid(), tolerance };
     let loads = derivatives::right_hand_sides(model, modes.shapes.as_ref(), control)?;
-    let set = new_derivatives(&body, &modes, accurate.as_ref(), loads.clone(), control)?;
+    let set =
+        new_derivatives(&body, &modes.eigenvalues, accurate.as_ref(), loads.clone(), control)?;
     Ok((modes, loads, Arc::unwrap_or_clone(set.shapes)))
 }

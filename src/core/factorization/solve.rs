@@ -81,9 +81,8 @@ fn solve_some<T: Real, const N: usize>(
 
 /// Calls `f` with `n` rows of anything.
 fn with_rows<T: Real, const N: usize>(n: usize, f: impl FnOnce(&mut [Row<T, N>])) {
-    let count = n * size_of::<Row<T, N>>() / size_of::<f64>();
-    let mut memory = Pooled::take(count);
-    f(bytemuck::cast_slice_mut::<f64, T>(memory.numbers(count)).as_chunks_mut().0);
+    let mut memory = Pooled::take(n * size_of::<Row<T, N>>() / size_of::<f64>());
+    f(bytemuck::cast_slice_mut::<f64, T>(memory.numbers()).as_chunks_mut().0);
 }
 
 /// The least width that takes `count` columns at once, or the widest.

@@ -55,6 +55,19 @@ pub fn update<T: Real>(
     stops_before: &mut dyn FnMut(usize) -> bool,
     control: &dyn Control,
 ) -> Result<Option<Updated>, ModesError> {
+    match attempt(problem, rounding, stops_before, control) {
+        // Of numbers beyond a precision's range, say.
+        Err(ModesError::Dense(_)) => Ok(None),
+        result => result,
+    }
+}
+
+fn attempt<T: Real>(
+    problem: &Update<'_, T>,
+    rounding: f64,
+    stops_before: &mut dyn FnMut(usize) -> bool,
+    control: &dyn Control,
+) -> Result<Option<Updated>, ModesError> {
     let Update { sigma, n_rigid_left, eigenvalues, n_modes, tolerance, .. } = *problem;
     let [Some(first), Some(last)] = [eigenvalues.first(), eigenvalues.last()] else {
         return Ok(None);
@@ -85,8 +98,8 @@ pub fn update<T: Real>(
             let has_changed = updated.spectrum.beyond(tolerance).len() > unaccepted.len();
             return Ok(Some(updated).filter(|_| !has_changed));
         }
-        if round < MOST_ROUNDS {
-            space.grow(&missing, &unaccepted)?;
+        if round == MOST_ROUNDS || !space.grow(&missing, &unaccepted)? {
+            break;
         }
     }
     Ok(None)

@@ -88,9 +88,12 @@ impl<'a, T: Real> Space<'a, T> {
         let stretched = linalg::small_product(start.stretch.as_ref(), q.as_ref())
             - a.transpose_times(t)
             - relaxed;
-        let stretched = (0..m)
-            .map(|j| stretched.col(j).squared_norm_l2() / gram_k[(start.p() + j, start.p() + j)]);
-        let stretched = stretched.fold(0.0, f64::max);
+        let of_column = |j: usize| {
+            let length = gram_k[(start.p() + j, start.p() + j)];
+            let square = stretched.col(j).squared_norm_l2() / length;
+            if square.is_finite() { square } else { f64::INFINITY }
+        };
+        let stretched = (0..m).map(of_column).fold(0.0, f64::max);
         let [on_rigid, on_elastic] = x.map(|x| mass.inner(x, t));
         let inner = &q - linalg::stacked(&[on_rigid.as_ref(), on_elastic.as_ref()]);
         // (XQ − TQ)ᵀM(XQ − TQ), with XᵀM(XQ − TQ) = `inner`.
@@ -197,10 +200,11 @@ impl<'a, T: Real> Space<'a, T> {
         Ok(Missing { y, of_y, shares, of_shares, of_base })
     }
 
-    /// Adds what is missing of the vectors `chosen`.
-    pub(super) fn grow(&mut self, missing: &Missing, chosen: &[usize]) -> Result<(), DenseError> {
+    /// Adds what is missing of the vectors `chosen`, and tells whether that was anything.
+    pub(super) fn grow(&mut self, missing: &Missing, chosen: &[usize]) -> Result<bool, DenseError> {
         let p = self.q.nrows();
         let Update { stitched, mass, .. } = *self.problem;
+        let before = self.gram_m.ncols();
         let major = missing.major(chosen, &missing.of_shares);
         if !major.is_empty() {
             // X̃g, of which K̂_σX̃g = K_σXg = MXΛ_σg.
@@ -236,7 +240,7 @@ impl<'a, T: Real> Space<'a, T> {
                 if i < of.nrows() { of[(i, column)] } else { 0.0 }
             });
         }
-        Ok(())
+        Ok(self.gram_m.ncols() > before)
     }
 
     /// Adds W with K̂_σW = MZ, Z being the vectors of coefficients `z`.
