@@ -223,6 +223,7 @@ fn edit_ratios(body: &BodyResults) -> Vec<Ratio> {
         ("linear modes", [modes(&c.from_scratch), modes(&c.unprepared)], 15.0),
         ("linear modes, prepared", [modes(&c.from_scratch), modes(&c.prepared)], 100.0),
         ("whole edit", [total(&c.from_scratch), total(&c.unprepared)], 10.0),
+        ("whole edit, cubature reused", [total(&c.from_scratch), total(&c.reusing)], 10.0),
         ("whole edit, prepared", [total(&c.from_scratch), total(&c.prepared)], 20.0),
         (
             "whole edit, prepared, cubature reused",

@@ -13,7 +13,7 @@ use crate::edit::EditState;
 use crate::linalg;
 use crate::modes::AuditedSpectrum;
 use crate::modes::stitched::StitchMatrix;
-use crate::pool::Pooled;
+use crate::pool::{self, Pooled};
 use crate::reduced::{self, FreeBody, Whole};
 use faer::Mat;
 use rayon::prelude::*;
@@ -413,8 +413,10 @@ impl<'a> Fit<'a> {
         }
         control.progress(Stage::Cubature, 0.1);
         let training = samples(n_training_poses, seed)?;
+        // What follows is where a build takes most memory.
+        pool::clear();
         let smoothed = |rule: Rule, suffices: &dyn Fn(&Rule) -> bool| {
-            let more = || samples(n_more, seed ^ SMOOTHING_SEED);
+            let more = || samples(n_more, seed ^ SMOOTHING_SEED).inspect(|_| pool::clear());
             cubature::smooth(rule, training.clone(), more, tolerance, suffices, control)
         };
         if let Some((old, enough)) = worse {

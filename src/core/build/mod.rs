@@ -116,7 +116,7 @@ pub fn build(
 ) -> Result<Artifacts, BuildError> {
     let mut clock = StageClock::start(control);
     let draft = first_draft(mesh, params, &[], &mut clock)?;
-    // Cubature comes next, where a build takes most memory.
+    // What derivatives were solved with is not to be there when cubature takes most memory.
     pool::clear();
     finish(draft, clock)
 }
