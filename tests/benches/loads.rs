@@ -172,6 +172,9 @@ pub(crate) fn cases(
     cases.collect()
 }
 
+/// What is left of a load under which no equilibrium was found.
+const GIVING_WAY: f64 = 0.7;
+
 fn solve(
     stitched: &Artifacts,
     body: &StitchedBody<'_>,
@@ -213,7 +216,16 @@ fn solve(
     let mut corrections = 0;
     let (load, found) = loop {
         let load = scaled(shape, factor);
-        let found = body.equilibrium(&load, &start)?;
+        let found = match body.equilibrium(&load, &start) {
+            // The reduced model may have found too large a load, which the body gives way under.
+            Err(_) if corrections < MOST_CORRECTIONS => {
+                corrections += 1;
+                factor *= GIVING_WAY;
+                start = scaled(&start, GIVING_WAY);
+                continue;
+            }
+            found => found?,
+        };
         let reached = ratio(&found.x);
         if (low..=high).contains(&reached) || corrections == MOST_CORRECTIONS {
             break (load, found);
