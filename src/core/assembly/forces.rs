@@ -117,7 +117,7 @@ impl FullModel {
                 .collect();
             for (at, v) in (dofs.start / 3..dofs.end / 3).enumerate() {
                 for (group, columns) in columns.chunks_mut(LANES).enumerate() {
-                    let sum = tiles.sum(&rows, [n_groups, group], v);
+                    let sum = tiles.sum(rows, [n_groups, group], v);
                     for (lane, column) in columns.iter_mut().enumerate() {
                         for (to, sum) in column[3 * at..].iter_mut().zip(&sum) {
                             *to = sum[lane];

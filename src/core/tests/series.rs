@@ -24,7 +24,10 @@ const N_GUARDS: usize = 8;
 /// What solves of these bodies leave in double precision.
 const ROUNDING: f64 = 1e-8;
 
-/// A cut bar, its modes as it is, and as it is stitched.
+/// Arguments of [`series::rounding`] behind the factor.
+type Probed<'a> = ((&'a BlockMatrix, &'a Mass, f64), [MatRef<'a, f64>; 2], &'a [f64]);
+
+/// A cut bar and its modes as it is.
 struct Body {
     bar: BarMesh,
     model: FullModel,
@@ -71,7 +74,7 @@ impl Body {
     }
 
     /// What the rounding of a factor is told by.
-    fn probed(&self) -> ((&BlockMatrix, &Mass, f64), [MatRef<'_, f64>; 2], &[f64]) {
+    fn probed(&self) -> Probed<'_> {
         let modes = [self.rigid.as_ref(), self.modes.shapes.as_ref()];
         ((&self.stiffness, &self.mass, self.sigma), modes, &self.modes.eigenvalues)
     }

@@ -107,7 +107,7 @@ fn attempt<T: Real>(
 
 /// Whether an error takes more of the tolerance than rounding may. A NaN does.
 fn is_beyond(error: f64, tolerance: f64) -> bool {
-    !(error <= ROUNDING_SHARE * tolerance)
+    error.is_nan() || error > ROUNDING_SHARE * tolerance
 }
 
 /// M-orthonormal modes with their Rayleigh quotients: by how much these differ from the Ritz values, which are those of
