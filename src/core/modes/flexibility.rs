@@ -1,5 +1,5 @@
-//! The update that Sutura uses by default: Rayleigh–Ritz with the true stitched stiffness in a space
-//! grown by the cached flexibility (a block generalized Davidson method whose preconditioner is
+//! The update to any tolerance, where [`series`](super::series) does not get there: Rayleigh–Ritz with the true stitched
+//! stiffness in a space grown by the cached flexibility (a block generalized Davidson method whose preconditioner is
 //! exact for the stiffness, by Woodbury's formula).
 //!
 //! 1. Residual of the old modes in the new problem: R = AAᵀU, nonzero at stitched vertices alone.

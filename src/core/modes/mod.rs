@@ -1,5 +1,5 @@
-//! Linear modes K φ = λ M φ: from scratch ([`lanczos`]) and after an edit ([`prepared`] inside a seam,
-//! [`flexibility`] elsewhere, [`low_rank`]).
+//! Linear modes K φ = λ M φ: from scratch ([`lanczos`]) and after an edit ([`prepared`] inside a seam, [`series`]
+//! or [`flexibility`] elsewhere, [`low_rank`]).
 
 pub mod flexibility;
 pub mod lanczos;

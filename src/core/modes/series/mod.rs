@@ -2,9 +2,9 @@
 //! B = K̂_σ⁻¹M from the base body's modes X, with bounds of what is missing instead of residuals.
 //!
 //! 1. K_σX = MXΛ_σ, so the first of them cost no more than what stitches add to Woodbury's formula:
-//!    X̃ = BXΛ_σ = X − T with T = K_σ⁻¹A(I + C)⁻¹S and S = AᵀX ([`start`]).
+//!    X̃ = BXΛ_σ = X − T with T = K_σ⁻¹A(I + C)⁻¹S and S = AᵀX (`start`).
 //! 2. Rayleigh–Ritz in [X, X̃]. The Gram matrices of K̂_σ are known, and nothing of the size of the mesh is multiplied but
-//!    with M ([`space`]).
+//!    with M (`space`).
 //! 3. Of a Ritz pair's residual all lies in the space but By, y being what the pair has outside of X and of what
 //!    B has been applied to. It is M-orthogonal to X, so that ‖By‖² ≤ ‖y‖²_M/λ_σ in the norm of K̂_σ with the
 //!    eigenvalue λ_σ of the last mode of X: stitches only stiffen. That bounds the residual without a solve.

@@ -13,7 +13,7 @@ const PROBED: usize = 16;
 /// By how much more other right-hand sides may feel it, those that stitches make of them above all (twice as much was seen).
 const MARGIN: f64 = 3.0;
 
-/// Relative error of solutions by `factor` in the norm of K_σ, of a body of K, M and σ, with [`MARGIN`]: of the
+/// Relative error of solutions by `factor` in the norm of K_σ, of a body of K, M and σ, with a margin: of the
 /// lowest of its `modes` (rigid and elastic ones, n×k each), solved for from their inertial forces. Nothing that is smoother is ever solved
 /// for, and rounding hurts smooth solutions most. Infinite where there is no solution.
 pub fn rounding<T: Real>(
