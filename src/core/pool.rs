@@ -7,7 +7,7 @@
 use faer::{MatMut, MatRef};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Pieces of memory that are kept while nobody uses them: what two edits at a time take.
+/// Pieces of memory that are kept while nobody uses them.
 const MOST_KEPT: usize = 8;
 
 /// Bytes of them.

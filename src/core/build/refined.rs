@@ -49,7 +49,10 @@ pub(super) fn refined(
     let stitches = state.open_stitches();
     let mut found = None;
     let mut derivatives = None;
-    if let (Some(tolerance), Some(Single { factor, rounding })) = (tolerance, base.single()) {
+    let single = tolerance
+        .filter(|tolerance| *tolerance >= series::LEAST_TOLERANCE)
+        .and_then(|tolerance| Some((tolerance, base.single()?)));
+    if let Some((tolerance, Single { factor, rounding })) = single {
         let stitched = StitchedStiffness::new(&base.model, &base.stiffness, factor, &stitches)?;
         found = by_series(base, &stitched, *rounding, tolerance, clock)?;
         // Rigid motions that are left make derivatives a matter of conjugate gradients.

@@ -13,8 +13,8 @@
 //! It takes as many solves as there are modes that two terms of the series do not suffice for: 9 of 30 on a body of
 //! 105 264 unknowns with 30 stitches, where [`flexibility`](super::flexibility) takes one for every mode, half of it for its residual.
 //! And none of them has to be exact: what rounding leaves, of a factor in single precision above all, is measured and
-//! part of the audit, and eigenvalues are Rayleigh quotients of the vectors returned. Where it leaves too much, and for
-//! tolerances below [`LEAST_TOLERANCE`], there is [`flexibility`](super::flexibility).
+//! part of the audit, and eigenvalues are Rayleigh quotients of the vectors returned. Where it leaves too much of a factor in
+//! single precision one in double serves; where neither does, and for tolerances below [`LEAST_TOLERANCE`], there is [`flexibility`](super::flexibility).
 
 mod rounding;
 mod space;
@@ -72,10 +72,13 @@ fn attempt<T: Real>(
     let [Some(first), Some(last)] = [eigenvalues.first(), eigenvalues.last()] else {
         return Ok(None);
     };
+    if tolerance < LEAST_TOLERANCE {
+        return Ok(None);
+    }
     let mut space = Space::new(problem)?;
     let floor = space.floor(rounding);
     // As much of λ as it is of λ + σ, for the softest mode.
-    if tolerance < LEAST_TOLERANCE || is_beyond(floor * (first + sigma) / first, tolerance) {
+    if is_beyond(floor * (first + sigma) / first, tolerance) {
         return Ok(None);
     }
     for round in 1..=MOST_ROUNDS {

@@ -10,12 +10,12 @@ use faer::{Mat, MatRef};
 /// Modes that are solved for to tell it.
 const PROBED: usize = 16;
 
-/// By how much more other right-hand sides may feel it, those that stitches make of them above all (twice as much was seen).
+/// By how much more other right-hand sides may feel it, those that stitches make of them above all: an allowance.
 const MARGIN: f64 = 3.0;
 
 /// Relative error of solutions by `factor` in the norm of K_σ, of a body of K, M and σ, with a margin: of the
-/// lowest of its `modes` (rigid and elastic ones, n×k each), solved for from their inertial forces. Nothing that is smoother is ever solved
-/// for, and rounding hurts smooth solutions most. Infinite where there is no solution.
+/// lowest of its `modes` (rigid and elastic ones, n×k each; `eigenvalues` of the elastic ones in 1/s², `sigma` likewise), solved
+/// for from their inertial forces. Infinite where there is no solution.
 pub fn rounding<T: Real>(
     factor: &SparseCholesky<T>,
     (stiffness, mass, sigma): (&BlockMatrix, &Mass, f64),
