@@ -9,11 +9,11 @@
 use crate::assembly::mass::Mass;
 use crate::linalg::{self, DenseError, SmallCholesky};
 use crate::modes::LinearModes;
+use crate::pool::Tall;
 use faer::{Mat, MatRef};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// How the principal components are found.
 ///
@@ -40,6 +40,15 @@ const DEPENDENT: f64 = 1e-13;
 /// 1/d. It cannot be much larger: what keeps a slender body from locking is a small part of its
 /// derivatives (at 1e-9 a fork's static error was 34 times that of a basis from scratch).
 const RESOLVED: f64 = 1e-12;
+
+/// How far from orthonormal a basis may be: inner products of 105 264 numbers are rounded by some 1e-13.
+const ORTHONORMAL: f64 = 1e-12;
+
+/// Columns no further from it are orthonormal but for rounding once they have been made so.
+const NEARLY_ORTHONORMAL: f64 = 1e-8;
+
+/// Times that columns are made orthonormal, at most.
+const MOST_TURNS: usize = 3;
 
 /// A combination shorter than this fraction of the longest is rounding noise.
 const NOISE: f64 = 1e-13;
@@ -73,9 +82,9 @@ pub fn pca_of_gram(
     let inner = linalg::small_product(gram, basis.as_ref());
     let inner = linalg::small_product(basis.transpose(), inner.as_ref());
     let turn = SmallCholesky::new(inner.as_ref())?.whitening();
-    let mut basis = linalg::small_product(basis.as_ref(), turn.as_ref());
-    orient(&mut basis);
-    Ok(basis)
+    let basis = linalg::small_product(basis.as_ref(), turn.as_ref());
+    let signs: Vec<f64> = (0..basis.ncols()).map(|j| sign(range(basis.col_as_slice(j)))).collect();
+    Ok(Mat::from_fn(basis.nrows(), basis.ncols(), |i, j| signs[j] * basis[(i, j)]))
 }
 
 /// A derivative's column together with the eigenvalues of the two modes it belongs to.
@@ -88,8 +97,9 @@ pub struct WeightedDerivatives<'a> {
 
 /// A basis of principal components.
 pub struct Pca {
-    /// U (n × at most as many as asked for), M-orthonormal.
-    pub basis: Mat<f64>,
+    /// U (n × at most as many as asked for), M-orthonormal. The largest entry of a column is positive, so that its sign does
+    /// not depend on a decomposition.
+    pub basis: Tall,
     /// Singular values of the weighted columns, relative to the first, descending; at least as many as asked for
     /// unless fewer columns are independent.
     pub singular: Vec<f64>,
@@ -111,31 +121,40 @@ pub fn mass_pca(
         derivatives.iter().flat_map(|group| group.eigenvalues.iter().copied()).collect();
     let weights = weights(&modes.eigenvalues, &of_derivatives);
     let columns = Columns { mass, parts };
-    let Pca { mut basis, mut singular, mut inner } = match method {
+    let Pca { basis, mut singular, inner } = match method {
         PcaMethod::Snapshots => snapshots(&columns, &weights, size)?,
         PcaMethod::Randomized => randomized(&columns, &weights, size)?,
     };
-    for (i, turned) in orient(&mut basis).into_iter().enumerate() {
-        if turned {
-            inner.row_mut(i).iter_mut().for_each(|x| *x = -*x);
-        }
-    }
     let largest = singular.first().copied().unwrap_or(1.0).max(f64::MIN_POSITIVE);
     singular.iter_mut().for_each(|s| *s /= largest);
     Ok(Pca { basis, singular, inner })
 }
 
-/// Gives columns signs that do not depend on a decomposition: the largest entry is positive. Tells which have changed.
-fn orient(x: &mut Mat<f64>) -> Vec<bool> {
-    let turned: Vec<AtomicBool> = (0..x.ncols()).map(|_| AtomicBool::new(false)).collect();
-    linalg::for_each_column(x.as_mut(), |j, column| {
-        let peak = column.iter().fold(0.0f64, |m, x| if x.abs() > m.abs() { *x } else { m });
-        if peak < 0.0 {
-            column.iter_mut().for_each(|x| *x = -*x);
-            turned[j].store(true, Ordering::Relaxed);
+/// The least and the largest of some numbers and zero, eight of which are compared at a time.
+fn range(numbers: &[f64]) -> [f64; 2] {
+    let (whole, rest) = numbers.as_chunks::<8>();
+    let (mut least, mut largest) = ([0.0f64; 8], [0.0f64; 8]);
+    let mut see = |x: &[f64; 8]| {
+        for (x, (least, largest)) in x.iter().zip(least.iter_mut().zip(&mut largest)) {
+            *least = if x < least { *x } else { *least };
+            *largest = if x > largest { *x } else { *largest };
         }
-    });
-    turned.into_iter().map(AtomicBool::into_inner).collect()
+    };
+    whole.iter().for_each(&mut see);
+    let mut last = [0.0; 8];
+    last[..rest.len()].copy_from_slice(rest);
+    see(&last);
+    joined(least.into_iter().zip(largest).map(|(least, largest)| [least, largest]))
+}
+
+/// The range of some ranges.
+fn joined(ranges: impl Iterator<Item = [f64; 2]>) -> [f64; 2] {
+    ranges.fold([0.0; 2], |all, one| [all[0].min(one[0]), all[1].max(one[1])])
+}
+
+/// What makes the largest entry of a column with this range positive.
+fn sign([least, largest]: [f64; 2]) -> f64 {
+    if -least > largest { -1.0 } else { 1.0 }
 }
 
 /// The columns D (n×p) side by side, where they lie.
@@ -149,17 +168,64 @@ impl Columns<'_> {
         self.parts.iter().map(|part| part.ncols()).sum()
     }
 
-    /// `D·C`.
-    fn times(&self, c: MatRef<'_, f64>) -> Mat<f64> {
-        let mut product = Mat::zeros(self.parts[0].nrows(), c.ncols());
+    /// The rows of `c` that belong to each part.
+    fn split<'c>(&self, c: MatRef<'c, f64>) -> Vec<MatRef<'c, f64>> {
         let mut at = 0;
         let rows = |part: &MatRef<'_, f64>| {
             at += part.ncols();
             c.subrows(at - part.ncols(), part.ncols())
         };
-        let coefficients: Vec<MatRef<'_, f64>> = self.parts.iter().map(rows).collect();
-        linalg::add_products(product.as_mut(), &self.parts, &coefficients);
+        self.parts.iter().map(rows).collect()
+    }
+
+    /// `D·C`.
+    fn times(&self, c: MatRef<'_, f64>) -> Mat<f64> {
+        let mut product = Mat::zeros(self.parts[0].nrows(), c.ncols());
+        linalg::combine(product.as_mut(), &self.parts, &self.split(c));
         product
+    }
+
+    /// `D·C` of columns that are M-orthonormal but for rounding, made so and oriented ([`Pca::basis`]), and R with which it is
+    /// `D·CR`; the first columns change least.
+    fn orthonormal(&self, c: MatRef<'_, f64>) -> Result<(Tall, Mat<f64>), DenseError> {
+        let mut basis = Tall::new(self.parts[0].nrows(), c.ncols());
+        let coefficients = self.split(c);
+        // While rows are in the cache all is seen of them.
+        let (ranges, mut gram) = self.mass.gram_of_made(basis.as_mut(), |first, mut rows| {
+            linalg::combine_rows(rows.as_mut(), first, &self.parts, &coefficients);
+            let columns = rows.as_ref().col_iter().filter_map(|column| column.try_as_col_major());
+            columns.map(|column| range(column.as_slice())).collect::<Vec<_>>()
+        });
+        let sign = |j: usize| sign(joined(ranges.iter().map(|ranges| ranges[j])));
+        let signs: Vec<f64> = (0..c.ncols()).map(sign).collect();
+        let mut turn = Mat::from_fn(c.ncols(), c.ncols(), |i, j| f64::from(i == j) * signs[j]);
+        let mut distance = linalg::distance_from_identity(gram.as_ref());
+        if distance < ORTHONORMAL {
+            linalg::for_each_column(basis.as_mut(), |j, column| {
+                if signs[j] < 0.0 {
+                    column.iter_mut().for_each(|x| *x = -*x);
+                }
+            });
+            return Ok((basis, turn));
+        }
+        let mut all = Mat::identity(c.ncols(), c.ncols());
+        for _ in 0..MOST_TURNS {
+            let whitening = SmallCholesky::new(gram.as_ref())?.whitening();
+            turn = linalg::small_product(whitening.as_ref(), turn.as_ref());
+            linalg::turn(basis.as_mut(), turn.as_ref());
+            all = linalg::small_product(all.as_ref(), turn.as_ref());
+            // What a turn so small leaves is rounding.
+            if distance < NEARLY_ORTHONORMAL {
+                break;
+            }
+            gram = self.mass.gram(basis.as_ref());
+            distance = linalg::distance_from_identity(gram.as_ref());
+            if distance < ORTHONORMAL {
+                break;
+            }
+            turn = Mat::identity(c.ncols(), c.ncols());
+        }
+        Ok((basis, all))
     }
 
     /// `DᵀMY`.
@@ -172,30 +238,6 @@ impl Columns<'_> {
             at += part.ncols();
         }
         product
-    }
-
-    /// `DᵀMD`.
-    fn gram(&self) -> Mat<f64> {
-        let mut gram = Mat::zeros(self.count(), self.count());
-        let mut row = 0;
-        for (i, part) in self.parts.iter().enumerate() {
-            let mut column = 0;
-            for (j, other) in self.parts[..=i].iter().enumerate() {
-                let block = match j == i {
-                    true => self.mass.gram(*part),
-                    false => self.mass.inner(*part, *other),
-                };
-                let (rows, columns) = (block.nrows(), block.ncols());
-                gram.as_mut().submatrix_mut(row, column, rows, columns).copy_from(&block);
-                if j < i {
-                    let mut mirrored = gram.as_mut().submatrix_mut(column, row, columns, rows);
-                    mirrored.copy_from(block.transpose());
-                }
-                column += columns;
-            }
-            row += part.ncols();
-        }
-        gram
     }
 
     /// Mass norms of the columns.
@@ -216,10 +258,9 @@ fn scales(lengths: &[f64], weights: &[f64]) -> Vec<f64> {
 /// everything below 1e-8 of the first. What the first step leaves of non-orthogonality, the second
 /// takes out of the columns chosen.
 fn snapshots(columns: &Columns<'_>, weights: &[f64], size: usize) -> Result<Pca, DenseError> {
-    let gram = columns.gram();
+    let gram = columns.mass.gram_of_parts(&columns.parts);
     let (coefficients, singular) = principal_coefficients(gram.as_ref(), weights, size, DEPENDENT)?;
-    let mut basis = columns.times(coefficients.as_ref());
-    let turn = orthonormalize(columns.mass, &mut basis)?;
+    let (basis, turn) = columns.orthonormal(coefficients.as_ref())?;
     let inner = linalg::small_product(coefficients.transpose(), gram.as_ref());
     let inner = linalg::small_product(turn.transpose(), inner.as_ref());
     Ok(Pca { basis, singular, inner })
@@ -246,26 +287,6 @@ fn principal_coefficients(
     Ok((linalg::small_product(orthonormal.as_ref(), leading), singular))
 }
 
-/// Makes columns that are M-orthonormal but for rounding so; the first change least. Returns R of X ← XR.
-fn orthonormalize(mass: &Mass, x: &mut Mat<f64>) -> Result<Mat<f64>, DenseError> {
-    let mut all = Mat::identity(x.ncols(), x.ncols());
-    for _ in 0..3 {
-        let gram = mass.gram(x.as_ref());
-        let distance = linalg::distance_from_identity(gram.as_ref());
-        if distance < 1e-13 {
-            break;
-        }
-        let turn = SmallCholesky::new(gram.as_ref())?.whitening();
-        linalg::turn(x.as_mut(), turn.as_ref());
-        all = linalg::small_product(all.as_ref(), turn.as_ref());
-        // What a turn so small leaves is rounding.
-        if distance < 1e-8 {
-            break;
-        }
-    }
-    Ok(all)
-}
-
 fn randomized(columns: &Columns<'_>, weights: &[f64], size: usize) -> Result<Pca, DenseError> {
     let mass = columns.mass;
     let p = columns.count();
@@ -278,7 +299,7 @@ fn randomized(columns: &Columns<'_>, weights: &[f64], size: usize) -> Result<Pca
     };
     let mut random = ChaCha8Rng::seed_from_u64(0x9ca);
     // D S ≈ Q B with Q M-orthonormal, S the scales.
-    let mut q: Vec<Mat<f64>> = Vec::new();
+    let mut q: Vec<Tall> = Vec::new();
     let mut b: Vec<Mat<f64>> = Vec::new();
     let mut found = 0;
     let mut longest = 0.0f64;
@@ -312,8 +333,8 @@ fn randomized(columns: &Columns<'_>, weights: &[f64], size: usize) -> Result<Pca
         }
         let gram = mass.gram(block.as_ref());
         let turn = linalg::orthonormal_coefficients(gram.as_ref(), DEPENDENT)?;
-        let mut block = linalg::product(block.as_ref(), turn.as_ref());
-        orthonormalize(mass, &mut block)?;
+        let whole = Columns { mass, parts: vec![block.as_ref()] };
+        let (block, _) = whole.orthonormal(turn.as_ref())?;
         if block.ncols() == 0 {
             break;
         }
@@ -330,9 +351,10 @@ fn randomized(columns: &Columns<'_>, weights: &[f64], size: usize) -> Result<Pca
     let (singular, left) = linalg::left_singular(stacked.as_ref())?;
     let leading = left.subcols(0, size.min(left.ncols()));
     let blocks = Columns { mass, parts: q.iter().map(|q| q.as_ref()).collect() };
-    let mut basis =
-        if q.is_empty() { Mat::zeros(columns.parts[0].nrows(), 0) } else { blocks.times(leading) };
-    orthonormalize(mass, &mut basis)?;
+    let basis = match q.is_empty() {
+        true => Tall::new(columns.parts[0].nrows(), 0),
+        false => blocks.orthonormal(leading)?.0,
+    };
     let inner = columns.inner(basis.as_ref()).transpose().to_owned();
     Ok(Pca { basis, singular, inner })
 }
@@ -356,7 +378,7 @@ mod tests {
             ((row * 7919 + k * 104_729 + row * k * 31) as f64).sin()
         });
         let of_pairs = pairs.iter().map(|pair| pair.map(|i| eigenvalues[i])).collect();
-        (mass, LinearModes { shapes, eigenvalues }, derivatives, of_pairs)
+        (mass, LinearModes { shapes: shapes.into(), eigenvalues }, derivatives, of_pairs)
     }
 
     #[test]
@@ -391,6 +413,7 @@ mod tests {
                 let gram = mass.gram(basis.as_ref());
                 assert!(linalg::distance_from_identity(gram.as_ref()) < 1e-12, "{method:?}");
                 // What the basis does not capture, against the least that so many columns can leave.
+                let basis = basis.as_ref();
                 let scaled = Mat::from_fn(N, size, |i, j| basis[(i, j)] * masses[i / 3].sqrt());
                 let inside = linalg::gram(scaled.as_ref(), weighted.as_ref());
                 let mut rest = weighted.clone();

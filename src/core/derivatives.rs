@@ -11,7 +11,7 @@ use crate::control::{self, Cancelled, Control, Stage};
 use crate::linalg;
 use crate::modes::LinearModes;
 use crate::modes::stitched::StitchedStiffness;
-use crate::pool::Pooled;
+use crate::pool::{Pooled, Tall};
 use faer::{Mat, MatMut, MatRef};
 
 /// Relative residual to which derivatives are solved where a direct solve is not exact. They only
@@ -36,7 +36,7 @@ pub fn right_hand_sides(
     model: &FullModel,
     shapes: MatRef<'_, f64>,
     control: &dyn Control,
-) -> Result<Mat<f64>, Cancelled> {
+) -> Result<Tall, Cancelled> {
     control::check(control)?;
     let all = model.second_derivatives_at_rest(shapes, -1.0);
     control.progress(Stage::Derivatives, 0.5);

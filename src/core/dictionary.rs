@@ -6,8 +6,8 @@
 //! somebody asks for them, once.
 
 use crate::linalg;
+use crate::pool::Tall;
 use faer::{Mat, MatRef};
-use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -18,7 +18,7 @@ pub struct Block {
     /// Unique in this process.
     pub id: u64,
     /// n×k.
-    pub columns: Mat<f64>,
+    pub columns: Tall,
     /// How it is written in even columns, if it has any.
     evening: Option<Evening>,
     /// BᵀG, the first time somebody asked for it.
@@ -27,8 +27,8 @@ pub struct Block {
 
 impl Block {
     /// Names `columns`.
-    pub fn new(columns: Mat<f64>) -> Arc<Block> {
-        Block::named(columns, None)
+    pub fn new(columns: impl Into<Tall>) -> Arc<Block> {
+        Block::named(columns.into(), None)
     }
 
     /// Names `columns` that nearly depend on each other and on those of `earlier` blocks: combinations
@@ -38,12 +38,12 @@ impl Block {
     /// B = E·R + Σ E_i·C_i,
     ///
     /// E_i being the even columns of `earlier` and E about orthonormal, as far as B is independent.
-    pub fn dependent(columns: Mat<f64>, earlier: &[Arc<Block>]) -> Arc<Block> {
+    pub fn dependent(columns: impl Into<Tall>, earlier: &[Arc<Block>]) -> Arc<Block> {
         let evening = Evening { earlier: earlier.to_vec(), coefficients: OnceLock::new() };
-        Block::named(columns, Some(evening))
+        Block::named(columns.into(), Some(evening))
     }
 
-    fn named(columns: Mat<f64>, evening: Option<Evening>) -> Arc<Block> {
+    fn named(columns: Tall, evening: Option<Evening>) -> Arc<Block> {
         static NEXT: AtomicU64 = AtomicU64::new(1);
         let id = NEXT.fetch_add(1, Ordering::Relaxed);
         Arc::new(Block { id, columns, evening, under_loads: OnceLock::new() })
@@ -58,18 +58,18 @@ impl Block {
     pub fn even_columns(&self) -> Option<Mat<f64>> {
         let evening = self.evening.as_ref()?;
         let Coefficients { onto, turn, .. } = evening.coefficients(self);
-        let mut rest = self.columns.clone();
+        let mut rest = self.columns.as_ref().to_owned();
         for (block, onto) in evening.earlier.iter().zip(onto) {
             let even = block.even_columns();
-            let even = even.as_ref().unwrap_or(&block.columns);
-            linalg::add_product(rest.as_mut(), -1.0, even.as_ref(), onto.as_ref());
+            let even = even.as_ref().map_or(block.columns.as_ref(), Mat::as_ref);
+            linalg::add_product(rest.as_mut(), -1.0, even, onto.as_ref());
         }
         Some(linalg::product(rest.as_ref(), turn.as_ref()))
     }
 
-    /// BᵀG for loads G (n×l) that are the same at every call: kept from the first one on.
-    fn under_loads(&self, loads: &impl Fn() -> Mat<f64>) -> &Mat<f64> {
-        self.under_loads.get_or_init(|| linalg::gram(self.columns.as_ref(), loads().as_ref()))
+    /// BᵀG for loads G (n×l) that are the same at every call, as `product` makes it: kept from the first one on.
+    fn under_loads(&self, product: &impl Fn(MatRef<'_, f64>) -> Mat<f64>) -> &Mat<f64> {
+        self.under_loads.get_or_init(|| product(self.columns.as_ref()))
     }
 }
 
@@ -99,13 +99,13 @@ const EVEN_FLOOR: f64 = 1e-12;
 impl Evening {
     fn coefficients(&self, block: &Block) -> &Coefficients {
         self.coefficients.get_or_init(|| {
-            let mut rest = block.columns.clone();
+            let mut rest = block.columns.as_ref().to_owned();
             let mut onto = Vec::new();
             for earlier in &self.earlier {
                 let even = earlier.even_columns();
-                let even = even.as_ref().unwrap_or(&earlier.columns);
-                let inner = linalg::gram(even.as_ref(), rest.as_ref());
-                linalg::add_product(rest.as_mut(), -1.0, even.as_ref(), inner.as_ref());
+                let even = even.as_ref().map_or(earlier.columns.as_ref(), Mat::as_ref);
+                let inner = linalg::gram(even, rest.as_ref());
+                linalg::add_product(rest.as_mut(), -1.0, even, inner.as_ref());
                 onto.push(inner);
             }
             let (turn, back) = evened(linalg::gram(rest.as_ref(), rest.as_ref()).as_ref());
@@ -170,10 +170,10 @@ impl Dictionary {
     }
 
     /// `D·C` (p×k → n×k).
-    fn times(&self, c: MatRef<'_, f64>) -> Mat<f64> {
-        let mut product = Mat::zeros(self.blocks[0].columns.nrows(), c.ncols());
+    fn times(&self, c: MatRef<'_, f64>) -> Tall {
+        let mut product = Tall::new(self.blocks[0].columns.nrows(), c.ncols());
         let (blocks, rows): (Vec<_>, Vec<_>) = self.used(c).unzip();
-        linalg::add_products(product.as_mut(), &blocks, &rows);
+        linalg::combine(product.as_mut(), &blocks, &rows);
         product
     }
 
@@ -205,7 +205,12 @@ fn pieces(rows: MatRef<'_, f64>) -> Vec<Range<usize>> {
 }
 
 fn gather(x: MatRef<'_, f64>, rows: &[Option<usize>]) -> Mat<f64> {
-    Mat::from_fn(rows.len(), x.ncols(), |i, j| rows[i].map_or(0.0, |row| x[(row, j)]))
+    let mut gathered = Mat::zeros(rows.len(), x.ncols());
+    linalg::for_each_column(gathered.as_mut(), |j, column| {
+        let some = rows.iter().map(|row| row.map_or(0.0, |row| x[(row, j)]));
+        column.iter_mut().zip(some).for_each(|(to, x)| *to = x);
+    });
+    gathered
 }
 
 /// U = D·W (n×r).
@@ -214,7 +219,7 @@ pub struct Combination {
     dictionary: Arc<Dictionary>,
     /// W (p×r).
     coefficients: Mat<f64>,
-    dense: OnceLock<Mat<f64>>,
+    dense: OnceLock<Tall>,
     /// W is the identity: D is U.
     is_whole: bool,
 }
@@ -227,7 +232,8 @@ impl Combination {
     }
 
     /// Columns that are combinations of nothing else.
-    pub fn of_dense(columns: Mat<f64>) -> Combination {
+    pub fn of_dense(columns: impl Into<Tall>) -> Combination {
+        let columns = columns.into();
         let coefficients = Mat::identity(columns.ncols(), columns.ncols());
         let dictionary = Dictionary::new(vec![Block::new(columns)]);
         Combination { dictionary, coefficients, dense: OnceLock::new(), is_whole: true }
@@ -289,11 +295,11 @@ impl Combination {
         }
     }
 
-    /// The same, not kept where it has not been multiplied out yet.
-    pub fn to_dense(&self) -> Mat<f64> {
+    /// What `look` makes of the same, which is not kept where it has not been multiplied out yet.
+    pub fn with_dense<T>(&self, look: impl FnOnce(MatRef<'_, f64>) -> T) -> T {
         match self.known_dense() {
-            Some(dense) => dense.to_owned(),
-            None => self.dictionary.times(self.coefficients()),
+            Some(dense) => look(dense),
+            None => look(self.dictionary.times(self.coefficients()).as_ref()),
         }
     }
 
@@ -304,10 +310,11 @@ impl Combination {
         self.dense.get().map(|dense| dense.as_ref())
     }
 
-    /// UᵀG for loads G (n×l) that are the same for every combination of these blocks (gravity).
-    pub fn under_loads(&self, loads: impl Fn() -> Mat<f64>) -> Mat<f64> {
+    /// UᵀG for loads G (n×l) that are the same for every combination of these blocks (gravity), by `product`, which makes XᵀG
+    /// of columns X.
+    pub fn under_loads(&self, product: impl Fn(MatRef<'_, f64>) -> Mat<f64>) -> Mat<f64> {
         let parts: Vec<&Mat<f64>> =
-            self.dictionary.blocks.iter().map(|block| block.under_loads(&loads)).collect();
+            self.dictionary.blocks.iter().map(|block| block.under_loads(&product)).collect();
         let all = linalg::stacked(&parts.iter().map(|part| part.as_ref()).collect::<Vec<_>>());
         linalg::small_product(self.coefficients().transpose(), all.as_ref())
     }
@@ -320,21 +327,12 @@ impl Combination {
         }
     }
 
-    /// Whether no number that defines it is infinite or not a number.
-    pub fn is_finite(&self) -> bool {
-        let finite = |m: MatRef<'_, f64>| {
-            m.par_col_iter().all(|column| column.iter().all(|x| x.is_finite()))
-        };
-        let mut own = self.dictionary.blocks.iter().filter(|_| self.is_whole);
-        finite(self.coefficients()) && own.all(|block| finite(block.columns.as_ref()))
-    }
-
     /// Bytes held, without the blocks that `is_shared` names.
     pub fn bytes(&self, is_shared: impl Fn(&Block) -> bool) -> usize {
         let own = self.dictionary.blocks.iter().filter(|block| !is_shared(block));
-        own.map(|block| linalg::bytes(&block.columns)).sum::<usize>()
+        own.map(|block| block.columns.bytes()).sum::<usize>()
             + linalg::bytes(&self.coefficients)
-            + self.dense.get().map_or(0, linalg::bytes)
+            + self.dense.get().map_or(0, Tall::bytes)
     }
 }
 
@@ -382,7 +380,9 @@ mod tests {
         };
         let even: Vec<_> = parts
             .iter()
-            .map(|(b, rows)| (b.even_columns().unwrap_or_else(|| b.columns.clone()), rows.clone()))
+            .map(|(b, rows)| {
+                (b.even_columns().unwrap_or_else(|| b.columns.as_ref().to_owned()), rows.clone())
+            })
             .collect();
         let raw = [(powers.clone(), u.coefficients().to_owned())];
         let [even_exact, even_single] = [error_of(&even, |x| x), error_of(&even, single)];
@@ -417,7 +417,8 @@ mod tests {
                 assert!((some[(2, j)] - expected[(0, j)]).abs() < 1e-12);
             }
         }
-        for dense in [lazy.to_dense(), lazy.dense().to_owned(), whole.dense().to_owned()] {
+        let known = lazy.with_dense(|dense| dense.to_owned());
+        for dense in [known, lazy.dense().to_owned(), whole.dense().to_owned()] {
             assert!((dense - expected.as_ref()).norm_max() < 1e-12);
         }
     }

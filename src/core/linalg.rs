@@ -4,6 +4,7 @@
 //! call here is sequential and parallelism comes from row chunks of fixed size: results do not
 //! depend on the number of threads.
 
+use crate::pool::Tall;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatMut, MatRef, Par};
 use rayon::prelude::*;
@@ -76,23 +77,43 @@ pub fn add_product(y: MatMut<'_, f64>, alpha: f64, x: MatRef<'_, f64>, c: MatRef
         .for_each(|(y, x)| matmul(y, Accum::Add, x, c, alpha, Par::Seq));
 }
 
-/// `Y += Σ X_i·C_i` with tall X_i (n×k_i) and small C_i (k_i×l), Y being read and written once.
-pub fn add_products(y: MatMut<'_, f64>, x: &[MatRef<'_, f64>], c: &[MatRef<'_, f64>]) {
-    assert_eq!(x.len(), c.len());
-    let n = y.nrows();
-    y.par_row_chunks_mut(ROW_CHUNK).enumerate().for_each(|(chunk, mut y)| {
-        let start = chunk * ROW_CHUNK;
-        let rows = ROW_CHUNK.min(n - start);
-        for (x, c) in x.iter().zip(c).filter(|(x, _)| x.ncols() > 0) {
-            matmul(y.as_mut(), Accum::Add, x.subrows(start, rows), *c, 1.0, Par::Seq);
-        }
+/// `Y ← Σ X_i·C_i` with tall X_i (n×k_i) and small C_i (k_i×l), Y being written once.
+pub fn combine(y: MatMut<'_, f64>, x: &[MatRef<'_, f64>], c: &[MatRef<'_, f64>]) {
+    y.par_row_chunks_mut(ROW_CHUNK).enumerate().for_each(|(chunk, y)| {
+        combine_rows(y, chunk * ROW_CHUNK, x, c);
     });
+}
+
+/// The rows of [`combine`] from `first` on.
+pub fn combine_rows(
+    mut y: MatMut<'_, f64>,
+    first: usize,
+    x: &[MatRef<'_, f64>],
+    c: &[MatRef<'_, f64>],
+) {
+    assert_eq!(x.len(), c.len());
+    let mut accum = Accum::Replace;
+    for (x, c) in x.iter().zip(c).filter(|(x, _)| x.ncols() > 0) {
+        let x = x.subrows(first, y.nrows());
+        matmul(y.as_mut(), accum, x, *c, 1.0, Par::Seq);
+        accum = Accum::Add;
+    }
+    if accum == Accum::Replace {
+        y.fill(0.0);
+    }
 }
 
 /// `X·C` with X tall (n×k) and C small (k×l).
 pub fn product(x: MatRef<'_, f64>, c: MatRef<'_, f64>) -> Mat<f64> {
     let mut y = Mat::zeros(x.nrows(), c.ncols());
     add_product(y.as_mut(), 1.0, x, c);
+    y
+}
+
+/// The same in memory that was used before.
+pub fn tall_product(x: MatRef<'_, f64>, c: MatRef<'_, f64>) -> Tall {
+    let mut y = Tall::for_a_while(x.nrows(), c.ncols());
+    combine(y.as_mut(), &[x], &[c]);
     y
 }
 
@@ -221,9 +242,11 @@ pub fn copy(y: MatMut<'_, f64>, x: MatRef<'_, f64>) {
 }
 
 /// The chosen columns of `a`.
-pub fn columns(a: &Mat<f64>, chosen: &[usize]) -> Mat<f64> {
+pub fn columns(a: MatRef<'_, f64>, chosen: &[usize]) -> Mat<f64> {
     let mut some = Mat::zeros(a.nrows(), chosen.len());
-    for_each_column(some.as_mut(), |j, column| column.copy_from_slice(a.col_as_slice(chosen[j])));
+    for_each_column(some.as_mut(), |j, column| {
+        column.iter_mut().zip(a.col(chosen[j]).iter()).for_each(|(to, from)| *to = *from);
+    });
     some
 }
 

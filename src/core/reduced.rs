@@ -14,7 +14,7 @@ use sutura_reduced::contact::SurfaceVertex;
 pub use sutura_reduced::*;
 
 /// Points whose rows are gathered at a time.
-const POINTS_PER_TASK: usize = 256;
+const POINTS_PER_TASK: usize = 16;
 
 /// What of a reduced model is not summed over points.
 pub(crate) struct Whole {
@@ -53,7 +53,7 @@ pub(crate) fn reduced_model(
 
 /// Reduced loads of unit gravity along each axis (r×3).
 pub(crate) fn gravity_loads(model: &FullModel, basis: &Combination) -> Mat<f64> {
-    basis.under_loads(|| model.translation_loads())
+    basis.under_loads(|columns| model.under_acceleration(columns))
 }
 
 /// The inertia of a body that nothing holds, from its basis (n×r).

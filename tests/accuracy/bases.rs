@@ -10,17 +10,16 @@ use sutura_core::derivatives;
 use sutura_core::factorization::SparseCholesky;
 use sutura_core::modes::LinearModes;
 use sutura_core::modes::stitched::StitchMatrix;
+use sutura_core::pool::Tall;
 
 /// A body's elastic modes over the free degrees of freedom.
 pub(crate) fn modes(body: &Artifacts) -> LinearModes {
     let model = body.full_model();
     let all: Vec<Vec<f64>> = (0..body.n_modes()).map(|j| body.mode(j)).collect();
-    LinearModes {
-        shapes: Mat::from_fn(model.n(), all.len(), |i, j| {
-            all[j][3 * model.free_vertices()[i / 3] as usize + i % 3]
-        }),
-        eigenvalues: body.eigenvalues_per_s2().to_vec(),
-    }
+    let shapes = Mat::from_fn(model.n(), all.len(), |i, j| {
+        all[j][3 * model.free_vertices()[i / 3] as usize + i % 3]
+    });
+    LinearModes { shapes: shapes.into(), eigenvalues: body.eigenvalues_per_s2().to_vec() }
 }
 
 /// Modal derivatives of every pair of the lowest `count` of `modes`, or of the first `share` of
@@ -56,7 +55,7 @@ pub(crate) fn basis(
     modes: &LinearModes,
     derivatives: &[&Derivatives],
     size: usize,
-) -> Mat<f64> {
+) -> Tall {
     let groups: Vec<WeightedDerivatives<'_>> = derivatives
         .iter()
         .map(|d| WeightedDerivatives {

@@ -340,14 +340,14 @@ fn principal_components(
         let mut columns = Mat::<f64>::zeros(model.n(), n_columns);
         for j in 0..n_columns {
             let (source, weight) = match j.checked_sub(kept.eigenvalues.len()) {
-                None => (kept.shapes.col(j), first / kept.eigenvalues[j]),
+                None => (kept.shapes.col_as_slice(j), first / kept.eigenvalues[j]),
                 Some(k) => {
                     let [li, lj] = eigenvalues[k];
-                    (derived.col(k), first * first / (li * lj))
+                    (derived.col_as_slice(k), first * first / (li * lj))
                 }
             };
             let column = columns.col_as_slice_mut(j);
-            column.iter_mut().zip(source.iter()).zip(&root).for_each(|((c, s), m)| *c = s * m);
+            column.iter_mut().zip(source).zip(&root).for_each(|((c, s), m)| *c = s * m);
             let length = column.iter().map(|c| c * c).sum::<f64>().sqrt();
             column.iter_mut().for_each(|c| *c *= weight / length);
         }
@@ -361,7 +361,8 @@ fn principal_components(
         1e-10,
     )];
     let leading = svd.U().subcols(0, 10.min(basis.ncols()));
-    let rooted = Mat::from_fn(basis.nrows(), basis.ncols(), |i, j| root[i] * basis[(i, j)]);
+    let rooted =
+        Mat::from_fn(basis.nrows(), basis.ncols(), |i, j| root[i] * basis.col_as_slice(j)[i]);
     let inside = rooted.transpose() * leading;
     let worst = (0..inside.ncols())
         .map(|j| (1.0 - inside.col(j).squared_norm_l2()).max(0.0).sqrt())

@@ -3,7 +3,7 @@
 use super::sparse::ScalarMatrix;
 use crate::lanes::{self, LaneBlock};
 use crate::linalg;
-use faer::{Mat, MatRef};
+use faer::{Mat, MatMut, MatRef};
 use rayon::prelude::*;
 
 /// Columns of a Gram matrix that are made at a time.
@@ -34,21 +34,21 @@ impl Mass {
     /// `M·X`, X being n×k.
     pub fn multiply(&self, x: MatRef<'_, f64>) -> Mat<f64> {
         let mut y = Mat::zeros(x.nrows(), x.ncols());
-        self.multiply_into(&mut y, x);
+        self.multiply_into(y.as_mut(), x);
         y
     }
 
     /// `Y ← M·X`, both being n×k.
-    pub fn multiply_into(&self, y: &mut Mat<f64>, x: MatRef<'_, f64>) {
+    pub fn multiply_into(&self, y: MatMut<'_, f64>, x: MatRef<'_, f64>) {
         assert_eq!((y.nrows(), y.ncols()), (x.nrows(), x.ncols()));
         match self {
-            Mass::Lumped(masses) => linalg::for_each_column(y.as_mut(), |j, y| {
+            Mass::Lumped(masses) => linalg::for_each_column(y, |j, y| {
                 y.iter_mut().zip(x.col(j).iter()).for_each(|(y, x)| *y = *x);
                 for (three, m) in y.chunks_exact_mut(3).zip(masses) {
                     three.iter_mut().for_each(|y| *y *= m);
                 }
             }),
-            Mass::Consistent(matrix) => matrix.multiply_into(y.as_mut(), x),
+            Mass::Consistent(matrix) => matrix.multiply_into(y, x),
         }
     }
 
@@ -119,10 +119,52 @@ impl Mass {
         }
     }
 
+    /// `XᵀMX` of the columns of `parts` side by side.
+    pub fn gram_of_parts(&self, parts: &[MatRef<'_, f64>]) -> Mat<f64> {
+        if let Mass::Lumped(masses) = self {
+            return lanes::weighted_square(parts, |row| masses[row / 3]);
+        }
+        let k = parts.iter().map(|part| part.ncols()).sum();
+        let mut gram = Mat::zeros(k, k);
+        let mut row = 0;
+        for (i, part) in parts.iter().enumerate() {
+            let mut column = 0;
+            for (j, other) in parts[..=i].iter().enumerate() {
+                let block = match j == i {
+                    true => self.gram(*part),
+                    false => self.inner(*part, *other),
+                };
+                let (rows, columns) = (block.nrows(), block.ncols());
+                gram.as_mut().submatrix_mut(row, column, rows, columns).copy_from(&block);
+                if j < i {
+                    let mut mirrored = gram.as_mut().submatrix_mut(column, row, columns, rows);
+                    mirrored.copy_from(block.transpose());
+                }
+                column += columns;
+            }
+            row += part.ncols();
+        }
+        gram
+    }
+
+    /// Makes X (n×k) by `make(first row, rows)`, some rows at a time, and XᵀMX with it. Returns what `make` does.
+    pub fn gram_of_made<T: Send>(
+        &self,
+        mut x: MatMut<'_, f64>,
+        make: impl Fn(usize, MatMut<'_, f64>) -> T + Sync,
+    ) -> (Vec<T>, Mat<f64>) {
+        if let Mass::Lumped(masses) = self {
+            return lanes::weighted_square_of_made(x, make, |row| masses[row / 3]);
+        }
+        let rows = x.as_mut().par_row_chunks_mut(3 * VERTICES_PER_TASK).enumerate();
+        let made = rows.map(|(task, rows)| make(3 * VERTICES_PER_TASK * task, rows)).collect();
+        (made, self.gram(x.as_ref()))
+    }
+
     /// `XᵀMX`, of which about half is computed where X is wide.
     pub fn gram(&self, x: MatRef<'_, f64>) -> Mat<f64> {
-        if let Mass::Lumped(masses) = self {
-            return lanes::weighted_square(x, |row| masses[row / 3]);
+        if let Mass::Lumped(_) = self {
+            return self.gram_of_parts(&[x]);
         }
         let k = x.ncols();
         let mut gram = Mat::zeros(k, k);
@@ -188,6 +230,15 @@ mod tests {
                 |found: Mat<f64>, exact: Mat<f64>| (found - exact).norm_max() < 1e-13 * size;
             assert!(close(mass.gram(wide.as_ref()), wide.transpose() * &weighed), "{kind:?}");
             let [wide, narrow] = [wide.as_ref(), narrow.as_ref()];
+            let [left, right] = [wide.subcols(0, 7), wide.subcols(7, wide.ncols() - 7)];
+            assert!(close(mass.gram_of_parts(&[left, right]), mass.gram(wide)), "{kind:?}");
+            let mut made = Mat::from_fn(model.n(), wide.ncols(), |_, _| f64::NAN);
+            let (firsts, gram) = mass.gram_of_made(made.as_mut(), |first, mut rows| {
+                rows.copy_from(wide.subrows(first, rows.nrows()));
+                first
+            });
+            assert!(firsts.is_sorted() && firsts[0] == 0 && (&made - wide).norm_max() == 0.0);
+            assert!(close(gram, mass.gram(wide)), "{kind:?}");
             assert!(close(mass.inner(wide, narrow), weighed.transpose() * narrow), "{kind:?}");
             assert!(close(mass.inner(narrow, wide), narrow.transpose() * &weighed), "{kind:?}");
             let lanes = LaneBlock::of_columns(narrow);

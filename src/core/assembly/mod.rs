@@ -14,6 +14,7 @@ pub mod tiles;
 
 use crate::material::{Elasticity, Hyperelastic, Law, Material, stvk};
 use crate::mesh::{NO_COMPONENT, TetMesh};
+use crate::pool::Tall;
 use faer::{Mat, MatRef};
 use mass::{Mass, MassKind};
 use nalgebra::{Matrix3, Vector3};
@@ -37,6 +38,7 @@ pub struct FullModel {
     volumes_m3: Vec<f64>,
     elasticities: Vec<Elasticity>,
     density_kg_m3: Vec<f64>,
+    lumped_mass_kg: Vec<f64>,
     /// Free index of each vertex, or [`NOT_FREE`].
     free_of_vertex: Vec<u32>,
     free_vertices: Vec<u32>,
@@ -84,7 +86,13 @@ impl FullModel {
         let factor = |t: usize| tet_stiffness.get(t).copied().unwrap_or(1.0);
         let elasticities: Vec<Elasticity> =
             (0..n_tets).map(|t| of_tet(t).elasticity(factor(t))).collect();
-        let density_kg_m3 = (0..n_tets).map(|t| of_tet(t).density_kg_m3()).collect();
+        let density_kg_m3: Vec<f64> = (0..n_tets).map(|t| of_tet(t).density_kg_m3()).collect();
+        let mut lumped_mass_kg = vec![0.0; mesh.vertices().len()];
+        for (t, corners) in mesh.tets().iter().enumerate() {
+            for &v in corners {
+                lumped_mass_kg[v as usize] += 0.25 * density_kg_m3[t] * volumes_m3[t];
+            }
+        }
 
         let order = morton_order(&mesh);
         let mut is_free: Vec<bool> =
@@ -118,6 +126,7 @@ impl FullModel {
             volumes_m3,
             elasticities,
             density_kg_m3,
+            lumped_mass_kg,
             free_of_vertex,
             free_vertices,
             corners,
@@ -176,14 +185,8 @@ impl FullModel {
     }
 
     /// Lumped mass of every vertex of the mesh in kg: ρV/4 of each tet at each of its corners.
-    pub fn lumped_mass_kg(&self) -> Vec<f64> {
-        let mut mass = vec![0.0; self.free_of_vertex.len()];
-        for (t, corners) in self.mesh.tets().iter().enumerate() {
-            for &v in corners {
-                mass[v as usize] += 0.25 * self.density_kg_m3[t] * self.volumes_m3[t];
-            }
-        }
-        mass
+    pub fn lumped_mass_kg(&self) -> &[f64] {
+        &self.lumped_mass_kg
     }
 
     /// The pattern of the stiffness matrix, with the couplings of `pairs` (vertices) added.
@@ -198,7 +201,7 @@ impl FullModel {
     pub fn mass(&self, kind: MassKind, pattern: &Arc<Pattern>) -> Mass {
         match kind {
             MassKind::Lumped => {
-                let all = self.lumped_mass_kg();
+                let all = &self.lumped_mass_kg;
                 Mass::Lumped(self.free_vertices.iter().map(|&v| all[v as usize]).collect())
             }
             MassKind::Consistent => {
@@ -219,7 +222,7 @@ impl FullModel {
     pub fn mass_everywhere(&self, kind: MassKind) -> Mass {
         let tets = self.mesh.tets();
         match kind {
-            MassKind::Lumped => Mass::Lumped(self.lumped_mass_kg()),
+            MassKind::Lumped => Mass::Lumped(self.lumped_mass_kg.clone()),
             MassKind::Consistent => {
                 let pattern = Arc::new(Pattern::new(self.free_of_vertex.len(), tets, &[]));
                 let mut values = vec![0.0; pattern.n_entries()];
@@ -348,7 +351,7 @@ impl FullModel {
 
     /// scale·(H:x_i)x_j = scale·D²f_int(0)[x_i, x_j] for every pair i ≤ j of the columns of `x` (n×k), in the
     /// order (0, 0), (0, 1), (1, 1), (0, 2), …: n × k(k+1)/2.
-    pub fn second_derivatives_at_rest(&self, x: MatRef<'_, f64>, scale: f64) -> Mat<f64> {
+    pub fn second_derivatives_at_rest(&self, x: MatRef<'_, f64>, scale: f64) -> Tall {
         self.tiles.second_derivatives_at_rest(x, scale)
     }
 
@@ -422,17 +425,21 @@ impl FullModel {
         })
     }
 
-    /// Loads of unit acceleration along each axis (n×3), in kg.
-    pub fn translation_loads(&self) -> Mat<f64> {
-        let masses = self.lumped_mass_kg();
-        let free = self.free_vertices();
-        Mat::from_fn(
-            self.n(),
-            3,
-            |i, axis| {
-                if i % 3 == axis { masses[free[i / 3] as usize] } else { 0.0 }
-            },
-        )
+    /// XᵀG (k×3) of X (n×k) and the loads G of unit acceleration along each axis, in kg.
+    pub fn under_acceleration(&self, x: MatRef<'_, f64>) -> Mat<f64> {
+        let masses: Vec<f64> =
+            self.free_vertices.iter().map(|&v| self.lumped_mass_kg[v as usize]).collect();
+        let of_column = |j: usize| {
+            let mut sums = [0.0; 3];
+            for (v, mass) in masses.iter().enumerate() {
+                for (axis, sum) in sums.iter_mut().enumerate() {
+                    *sum += mass * x[(3 * v + axis, j)];
+                }
+            }
+            sums
+        };
+        let sums: Vec<[f64; 3]> = (0..x.ncols()).into_par_iter().map(of_column).collect();
+        Mat::from_fn(x.ncols(), 3, |j, axis| sums[j][axis])
     }
 
     /// Bytes held.

@@ -1,7 +1,7 @@
 //! Symmetric sparse matrices over vertices, stored whole by rows: 3×3 blocks ([`BlockMatrix`])
 //! on a pattern shared by stiffness and consistent mass ([`Pattern`]).
 
-use crate::lanes::{LANES, LaneBlock, Lanes};
+use crate::lanes::{self, LANES, LaneBlock, Lanes};
 use crate::linalg;
 use crate::pool::Pooled;
 use faer::{Mat, MatMut, MatRef};
@@ -200,6 +200,21 @@ impl BlockMatrix {
         );
     }
 
+    /// `XᵀAX` (n×k → k×k). Of 60 columns of 105 264 unknowns in a third of the time of `AX` and the product of both.
+    pub fn gram(&self, x: MatRef<'_, f64>) -> Mat<f64> {
+        assert_eq!(x.nrows(), self.n());
+        lanes::square_by(x, |rows, x, y| {
+            linalg::vectorized(
+                #[inline(always)]
+                || {
+                    for (y, vertex) in y.as_chunks_mut().0.iter_mut().zip(rows.start / 3..) {
+                        *y = self.row_times(vertex, x);
+                    }
+                },
+            );
+        })
+    }
+
     #[inline(always)]
     fn row_times(&self, vertex: usize, packed: &[Lanes]) -> [Lanes; 3] {
         let mut sum = [[0.0; LANES]; 3];
@@ -319,15 +334,10 @@ fn multiply_rows(
     let mut pooled = Pooled::take(LANES * x.nrows());
     let packed: &mut [Lanes] = pooled.numbers().as_chunks_mut().0;
     for first in (0..x.ncols()).step_by(LANES) {
-        let lanes = LANES.min(x.ncols() - first);
-        packed.par_chunks_mut(ROWS_PER_TASK).enumerate().for_each(|(chunk, packed)| {
-            let x = x.submatrix(chunk * ROWS_PER_TASK, first, packed.len(), lanes);
-            for (lane, column) in x.col_iter().enumerate() {
-                packed.iter_mut().zip(column.iter()).for_each(|(packed, x)| packed[lane] = *x);
-            }
-        });
+        let n_lanes = LANES.min(x.ncols() - first);
+        lanes::pack(x.subcols(first, n_lanes), packed);
         let packed = &*packed;
-        let y = y.as_mut().subcols_mut(first, lanes);
+        let y = y.as_mut().subcols_mut(first, n_lanes);
         y.par_row_chunks_mut(3 * VERTICES_PER_TASK).enumerate().for_each(|(chunk, mut y)| {
             let mut rows = [[[0.0; LANES]; 3]; VERTICES_PER_TASK];
             let rows = &mut rows[..y.nrows() / 3];
@@ -366,6 +376,13 @@ mod tests {
         let x = Mat::from_fn(15, 11, |i, j| ((i * 11 + j) as f64).cos());
         let (fast, slow) = (a.multiply(x.as_ref()), &dense * &x);
         assert!((fast - slow).norm_max() < 1e-13);
+        let symmetric = Mat::from_fn(15, 15, |i, j| 0.5 * (dense[(i, j)] + dense[(j, i)]));
+        let blocks = (0..5).flat_map(|v| pattern.row(v).iter().map(move |&w| (v, w as usize)));
+        let blocks = blocks
+            .map(|(v, w)| std::array::from_fn(|i| symmetric[(3 * v + i / 3, 3 * w + i % 3)]))
+            .collect();
+        let gram = BlockMatrix::new(pattern.clone(), blocks).gram(x.as_ref());
+        assert!((gram - x.transpose() * symmetric * &x).norm_max() < 1e-12);
 
         let values: Vec<f64> = (0..pattern.n_entries()).map(|e| (e as f64).cos()).collect();
         let a = ScalarMatrix::new(pattern.clone(), values);

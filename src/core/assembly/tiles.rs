@@ -12,8 +12,8 @@
 use super::NOT_FREE;
 use super::kernels::SecondDerivatives;
 use crate::material::{Elasticity, Hyperelastic, Law};
-use crate::pool::Pooled;
-use faer::{Mat, MatRef};
+use crate::pool::{Pooled, Tall};
+use faer::{MatMut, MatRef};
 use rayon::prelude::*;
 
 /// Vectors that one pass works on.
@@ -194,9 +194,9 @@ impl ElementTiles {
     /// Columns are taken in blocks of eight. Pairs between two blocks are the eight of the one with
     /// each of the other; pairs within a block of m are i with i + d mod m for d = 0 … m/2, so that
     /// hardly a lane is idle.
-    pub fn second_derivatives_at_rest(&self, x: MatRef<'_, f64>, scale: f64) -> Mat<f64> {
+    pub fn second_derivatives_at_rest(&self, x: MatRef<'_, f64>, scale: f64) -> Tall {
         let k = x.ncols();
-        let mut all = Mat::zeros(x.nrows(), k * (k + 1) / 2);
+        let mut all = Tall::new(x.nrows(), k * (k + 1) / 2);
         let mut memory = self.memory_for_rows(LANES);
         let rows = rows(&mut memory);
         for second in (0..k).step_by(LANES) {
@@ -230,7 +230,7 @@ impl ElementTiles {
                                 .collect()
                         })
                         .collect();
-                    self.add_up(rows, &groups, &mut all);
+                    self.add_up(rows, &groups, all.as_mut());
                 }
             }
         }
@@ -261,30 +261,28 @@ impl ElementTiles {
     }
 
     /// Adds up the rows of all tiles into the columns of `all`; `groups` names the column of each lane.
-    fn add_up(&self, rows: &[Row], groups: &[Vec<Option<usize>>], all: &mut Mat<f64>) {
+    fn add_up(&self, rows: &[Row], groups: &[Vec<Option<usize>>], all: MatMut<'_, f64>) {
         let n_groups = groups.len();
-        all.as_mut().par_row_chunks_mut(3 * VERTICES_PER_TASK).enumerate().for_each(
-            |(task, mut chunk)| {
-                let first = task * VERTICES_PER_TASK;
-                let n_vertices = chunk.nrows() / 3;
-                let mut sums = vec![NO_ROW; n_vertices];
-                for (group, columns) in groups.iter().enumerate() {
-                    for (v, sum) in (first..).zip(&mut sums) {
-                        *sum = self.sum(rows, [n_groups, group], v);
-                    }
-                    for (lane, column) in columns.iter().enumerate() {
-                        let Some(column) = column else { continue };
-                        let to = chunk.as_mut().col_mut(*column);
-                        let Some(to) = to.try_as_col_major_mut() else { continue };
-                        for (to, sum) in to.as_slice_mut().chunks_exact_mut(3).zip(&sums) {
-                            for (to, axis) in to.iter_mut().zip(sum) {
-                                *to = axis[lane];
-                            }
+        all.par_row_chunks_mut(3 * VERTICES_PER_TASK).enumerate().for_each(|(task, mut chunk)| {
+            let first = task * VERTICES_PER_TASK;
+            let n_vertices = chunk.nrows() / 3;
+            let mut sums = vec![NO_ROW; n_vertices];
+            for (group, columns) in groups.iter().enumerate() {
+                for (v, sum) in (first..).zip(&mut sums) {
+                    *sum = self.sum(rows, [n_groups, group], v);
+                }
+                for (lane, column) in columns.iter().enumerate() {
+                    let Some(column) = column else { continue };
+                    let to = chunk.as_mut().col_mut(*column);
+                    let Some(to) = to.try_as_col_major_mut() else { continue };
+                    for (to, sum) in to.as_slice_mut().chunks_exact_mut(3).zip(&sums) {
+                        for (to, axis) in to.iter_mut().zip(sum) {
+                            *to = axis[lane];
                         }
                     }
                 }
-            },
-        );
+            }
+        });
     }
 
     /// What all tiles have for the free vertex `v` in one of `n_groups` groups.

@@ -18,6 +18,7 @@ use crate::modes::AuditedSpectrum;
 use crate::modes::low_rank::MassInverse;
 use crate::modes::seams::{SeamRecipe, Seams};
 use crate::modes::stitched::StitchMatrix;
+use crate::pool::Tall;
 use crate::reduced::contact::{Contact, ContactSurface};
 use crate::reduced::{self, Evaluation, EvaluatorTables, ReducedModel, VertexRows};
 use faer::{Mat, MatRef};
@@ -82,7 +83,7 @@ pub(super) struct Prepared {
 pub(super) struct SeamCache {
     seams: RwLock<Option<Arc<Seams>>>,
     /// Modal derivatives (n×p) of the base body, as long as they serve nothing but load cases that nobody has needed yet.
-    derivatives: Mutex<Option<Arc<Mat<f64>>>>,
+    derivatives: Mutex<Option<Arc<Tall>>>,
     /// What comes last of a seam.
     closed_rule: Mutex<Option<ClosedRule>>,
 }
@@ -130,7 +131,7 @@ impl Prepared {
     }
 
     /// Its modal derivatives (n×p), from the build until there are load cases.
-    pub(super) fn derivatives(&self) -> MutexGuard<'_, Option<Arc<Mat<f64>>>> {
+    pub(super) fn derivatives(&self) -> MutexGuard<'_, Option<Arc<Tall>>> {
         self.seams.derivatives.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -351,9 +352,9 @@ impl Artifacts {
             + base.stiffness.bytes()
             + base.factor.bytes()
             + base.single.get().map_or(0, |s| s.as_ref().map_or(0, |s| s.factor.bytes()))
-            + base.x.iter().map(|x| linalg::bytes(&x.columns)).sum::<usize>()
+            + base.x.iter().map(|x| x.columns.bytes()).sum::<usize>()
             + base.known_seams().map_or(0, |seams| seams.bytes())
-            + base.derivatives().as_ref().map_or(0, |shapes| linalg::bytes(shapes));
+            + base.derivatives().as_ref().map_or(0, |shapes| shapes.bytes());
         (Arc::as_ptr(base).addr(), n_bytes)
     }
 
@@ -394,7 +395,7 @@ impl Artifacts {
     }
 
     /// Lumped mass of every vertex in kg (row sums, if the mass matrix is consistent).
-    pub fn lumped_mass_kg(&self) -> Vec<f64> {
+    pub fn lumped_mass_kg(&self) -> &[f64] {
         self.prepared.model.lumped_mass_kg()
     }
 

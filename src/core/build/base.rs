@@ -16,6 +16,7 @@ use crate::edit::BaseState;
 use crate::factorization::{SparseCholesky, SymbolicCholesky};
 use crate::modes::stitched::StitchMatrix;
 use crate::modes::{AuditedSpectrum, rigid};
+use crate::pool::Tall;
 use faer::Mat;
 use std::sync::{Arc, OnceLock, Weak};
 use std::time::Duration;
@@ -65,7 +66,7 @@ impl Assembled {
         params: &BuildParams,
         state: &BaseState,
         (factor, sigma): (SparseCholesky, f64),
-        modes: Mat<f64>,
+        modes: Tall,
         spectrum: AuditedSpectrum,
     ) -> Prepared {
         Prepared {

@@ -78,8 +78,11 @@ impl Artifacts {
         let block = all.find(|block| block.id == id)?.clone();
         let even = block.even_columns();
         Some((0..block.columns.ncols()).map(move |j| {
-            let columns = even.as_ref().unwrap_or(&block.columns);
-            self.full_model().expand(columns.col_as_slice(j))
+            let column = match &even {
+                Some(even) => even.col_as_slice(j),
+                None => block.columns.col_as_slice(j),
+            };
+            self.full_model().expand(column)
         }))
     }
 }

@@ -8,7 +8,8 @@ use crate::derivatives::{self, Scratch};
 use crate::lanes::kernels::Real;
 use crate::modes::LinearModes;
 use crate::modes::stitched::StitchedStiffness;
-use faer::{Mat, MatRef};
+use crate::pool::Tall;
+use faer::MatRef;
 use std::sync::Arc;
 
 /// What the derivative stage needs of a (stitched) body.
@@ -45,7 +46,7 @@ pub(super) fn new_derivatives<'a>(
     body: &Body<'a>,
     eigenvalues: &[f64],
     accurate: Option<&'a LinearModes>,
-    loads: Mat<f64>,
+    loads: Tall,
     control: &dyn Control,
 ) -> Result<DerivativeSet, BuildError> {
     let mut shapes = loads;
@@ -67,7 +68,7 @@ pub(super) fn new_derivatives<'a>(
 pub(super) fn rounded_derivatives(
     stitched: &StitchedStiffness<'_, f32>,
     eigenvalues: &[f64],
-    loads: Mat<f64>,
+    loads: Tall,
     control: &dyn Control,
 ) -> Result<DerivativeSet, BuildError> {
     let mut shapes = loads;
@@ -80,7 +81,7 @@ pub(super) fn rounded_derivatives(
     Ok(derivatives_of(eigenvalues, shapes, 0.0))
 }
 
-fn derivatives_of(eigenvalues: &[f64], shapes: Mat<f64>, residual: f64) -> DerivativeSet {
+fn derivatives_of(eigenvalues: &[f64], shapes: Tall, residual: f64) -> DerivativeSet {
     let pairs = derivatives::pairs(eigenvalues.len());
     let eigenvalues = pairs.iter().map(|p| p.map(|i| eigenvalues[i])).collect();
     DerivativeSet { shapes: Arc::new(shapes), pairs, eigenvalues, residual }

@@ -172,7 +172,10 @@ fn first_draft(
         n_rigid_modes: prepared.rigid().ncols(),
         weighing: spectrum.eigenvalues.clone(),
         derivative_residual: derivatives.residual,
-        span: Span::Dense { modes: prepared.modes().subcols(0, found).to_owned(), derivatives },
+        span: Span::Dense {
+            modes: prepared.modes().subcols(0, found).to_owned().into(),
+            derivatives,
+        },
         spectrum,
         verdict: Verdict::Rebuilt,
         tolerance: None,

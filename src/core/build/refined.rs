@@ -20,6 +20,7 @@ use crate::modes::flexibility::{self, Update, Updated};
 use crate::modes::low_rank::{self, MassInverse};
 use crate::modes::stitched::StitchedStiffness;
 use crate::modes::{self, AuditedSpectrum, LinearModes, series};
+use crate::pool::Tall;
 use faer::Mat;
 use std::sync::Arc;
 
@@ -50,7 +51,7 @@ pub(super) fn refined(
     let mut found = None;
     let mut derivatives = None;
     let single = tolerance
-        .filter(|tolerance| *tolerance >= series::LEAST_TOLERANCE)
+        .filter(|tolerance| *tolerance >= series::least_tolerance::<f32>())
         .and_then(|tolerance| Some((tolerance, base.single()?)));
     if let Some((tolerance, Single { factor, rounding })) = single {
         let stitched = StitchedStiffness::new(&base.model, &base.stiffness, factor, &stitches)?;
@@ -176,7 +177,7 @@ fn loads<'f>(
     base: &Prepared,
     found: &'f Found,
     clock: &StageClock<'_>,
-) -> Result<(&'f [f64], Mat<f64>), BuildError> {
+) -> Result<(&'f [f64], Tall), BuildError> {
     let LinearModes { shapes, eigenvalues } = &found.modes;
     let count = base.params.n_derivative_modes.min(eigenvalues.len());
     let lowest = shapes.subcols(0, count);
@@ -267,7 +268,7 @@ fn low_rank_modes(
     // Through the inverse root of a Gram matrix they come orthonormal to 1e-7 only.
     let gram = linalg::SmallCholesky::new(prepared.mass.gram(shapes).as_ref())?;
     Ok(LinearModes {
-        shapes: linalg::product(shapes, gram.whitening().as_ref()),
+        shapes: linalg::product(shapes, gram.whitening().as_ref()).into(),
         eigenvalues: all.eigenvalues[n_rigid_left..].to_vec(),
     })
 }

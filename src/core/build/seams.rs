@@ -13,7 +13,7 @@ use crate::modes::load_cases::LoadCases;
 use crate::modes::prepared::{Coefficients, PreparedStitches};
 use crate::modes::seams::{BaseModes, SeamRecipe, Seams};
 use crate::modes::stitched::StitchedStiffness;
-use faer::Mat;
+use crate::pool::Tall;
 use std::sync::Arc;
 
 /// Stiffness of the springs that close a seam for its load cases, in N/m, where no stitch in force tells
@@ -133,7 +133,7 @@ pub(super) fn base_derivatives(
 fn lowest_modes(prepared: &Prepared, count: usize) -> LinearModes {
     let count = count.min(prepared.modes().ncols());
     LinearModes {
-        shapes: prepared.modes().subcols(0, count).to_owned(),
+        shapes: prepared.modes().subcols(0, count).to_owned().into(),
         eigenvalues: prepared.spectrum.eigenvalues[..count].to_vec(),
     }
 }
@@ -275,12 +275,13 @@ fn solved_loads(
     modes: &Coefficients,
     tolerance: f64,
     control: &dyn Control,
-) -> Result<(LinearModes, Mat<f64>, Mat<f64>), BuildError> {
+) -> Result<(LinearModes, Tall, Tall), BuildError> {
     let Prepared { model, mass, factor, sigma, .. } = prepared;
     let count = modes.x.ncols();
     let [_, stiffness] = stitches.grams(modes);
     let energies = (0..count).map(|i| stiffness[(i, i)]).collect();
-    let shapes = combine(prepared, seams, stitches.cases(), positions, modes).dense().to_owned();
+    let shapes =
+        combine(prepared, seams, stitches.cases(), positions, modes).dense().to_owned().into();
     let modes = LinearModes { shapes, eigenvalues: energies };
 
     // Their loads, solved for on the base body.

@@ -137,7 +137,7 @@ impl BaseBody {
 impl Artifacts {
     /// What is worth keeping of this generation beside its recipe and its base body.
     pub fn snapshot(&self) -> GenerationSnapshot {
-        let modes = || Columns::of(self.modes.to_dense().as_ref());
+        let modes = || self.modes.with_dense(Columns::of);
         GenerationSnapshot {
             n_rigid_modes: self.n_rigid_modes,
             spectrum: self.spectrum.clone(),
@@ -145,7 +145,7 @@ impl Artifacts {
             is_unfinished: self.is_unfinished,
             tolerance: self.tolerance,
             modes: (!self.is_as_built()).then(modes),
-            basis: Columns::of(self.basis.to_dense().as_ref()),
+            basis: self.basis.with_dense(Columns::of),
             cubature: self.cubature.map(|report| CubatureSnapshot {
                 rule: self.rule.clone(),
                 report,
@@ -186,7 +186,7 @@ pub fn revive_base(
     let factor = factorized(model, mass, stiffness, symbolic.clone(), *sigma)?;
     clock.finish(Stage::Factorization)?;
     let spectrum = AuditedSpectrum::converged(eigenvalues_per_s2.clone(), residuals.clone());
-    let prepared = assembled.prepared(params, state, (factor, *sigma), modes, spectrum);
+    let prepared = assembled.prepared(params, state, (factor, *sigma), modes.into(), spectrum);
     Ok(BaseBody(Arc::new(Prepared { column_time: kept.column_time, ..prepared })))
 }
 

@@ -11,6 +11,7 @@ use crate::modes::load_cases::{LoadCases, Source};
 use crate::modes::prepared::{Coefficients, PreparedStitches};
 use crate::modes::seams::Seams;
 use crate::modes::stitched::StitchMatrix;
+use crate::pool::Tall;
 use faer::{Mat, MatRef};
 use std::sync::Arc;
 
@@ -20,7 +21,7 @@ const SPANNED: f64 = 1e-4;
 /// Modal derivatives and where they come from.
 pub(super) struct DerivativeSet {
     /// n×p.
-    pub(super) shapes: Arc<Mat<f64>>,
+    pub(super) shapes: Arc<Tall>,
     /// The two modes of each.
     pub(super) pairs: Vec<[usize; 2]>,
     /// Their eigenvalues.
@@ -34,7 +35,7 @@ pub(super) enum Span {
     /// Columns of the size of the mesh.
     Dense {
         /// n×k.
-        modes: Mat<f64>,
+        modes: Tall,
         /// Of these modes.
         derivatives: DerivativeSet,
     },
@@ -68,6 +69,16 @@ pub(super) struct Subspace {
     pub(super) pairs: Vec<[usize; 2]>,
 }
 
+impl Subspace {
+    /// Whether no number that defines basis or modes is infinite or not a number: the products of both with masses would not
+    /// be finite either.
+    pub(super) fn is_finite(&self) -> bool {
+        let parts = [&self.of_modes, &self.of_derivatives].map(Mat::as_ref);
+        let parts = parts.into_iter().chain([self.basis.coefficients(), self.modes.coefficients()]);
+        parts.into_iter().all(|part| part.is_all_finite())
+    }
+}
+
 impl Span {
     /// Draws the basis; `weighing` are the eigenvalues that the modes are weighed by.
     pub(super) fn reduce(
@@ -89,13 +100,13 @@ fn reduce_dense(
     prepared: &Prepared,
     stitches: &[Stitch],
     weighing: &[f64],
-    modes: Mat<f64>,
+    modes: Tall,
     derivatives: DerivativeSet,
 ) -> Result<Subspace, BuildError> {
     let params = &prepared.params;
     let weighed = LinearModes { shapes: modes, eigenvalues: weighing.to_vec() };
     let group = WeightedDerivatives {
-        shapes: Mat::as_ref(&derivatives.shapes),
+        shapes: Tall::as_ref(&derivatives.shapes),
         eigenvalues: derivatives.eigenvalues.clone(),
     };
     let Pca { basis, inner, .. } =

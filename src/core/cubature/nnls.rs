@@ -65,7 +65,7 @@ impl LeastSquares {
     pub(super) fn fetch(&mut self, wanted: &[usize]) {
         let missing: Vec<usize> =
             wanted.iter().copied().filter(|&j| self.gram[j].is_none()).collect();
-        let some = linalg::columns(&self.columns, &missing);
+        let some = linalg::columns(self.columns.as_ref(), &missing);
         let starts: Vec<usize> = (0..self.m()).step_by(CANDIDATES_PER_TASK).collect();
         let parts: Vec<Mat<f64>> = starts
             .par_iter()
@@ -458,7 +458,7 @@ mod tests {
         // The same support solved for on its own.
         let kept: Vec<usize> = set.entries().iter().map(|e| e.0).collect();
         let (entries, left) = (set.entries(), set.relative_residual());
-        let mut small = LeastSquares::new(linalg::columns(&a, &kept), &b);
+        let mut small = LeastSquares::new(linalg::columns(a.as_ref(), &kept), &b);
         let again = solve(&mut small, &[], &Uncontrolled).unwrap();
         for ((_, x), (_, y)) in entries.iter().zip(&again) {
             assert!((x - y).abs() < 1e-9 * y, "{entries:?} {again:?}");

@@ -16,7 +16,8 @@ use crate::assembly::mass::Mass;
 use crate::assembly::sparse::{BlockMatrix, ScalarMatrix};
 use crate::lanes::LaneBlock;
 use crate::lanes::kernels::Real;
-use faer::{Mat, MatMut, MatRef};
+use crate::pool::Tall;
+use faer::{MatMut, MatRef};
 use rayon::prelude::*;
 use solve::Task;
 use std::sync::Arc;
@@ -113,7 +114,7 @@ impl<T: Real> SparseCholesky<T> {
         &self,
         b: MatMut<'_, f64>,
         rows: &[u32],
-        correction: &(dyn Fn(MatRef<'_, f64>) -> Mat<f64> + Sync),
+        correction: &(dyn Fn(MatRef<'_, f64>) -> Tall + Sync),
     ) {
         self.run(Task::Corrected(rows, correction), b);
     }
@@ -166,6 +167,7 @@ pub fn shifted(stiffness: &BlockMatrix, sigma_per_s2: f64, mass: &Mass) -> Block
 mod tests {
     use super::*;
     use crate::assembly::sparse::Pattern;
+    use faer::Mat;
     use std::sync::Arc;
 
     /// A chain of 3×3 blocks, diagonally dominant; two disconnected pieces.
@@ -338,7 +340,7 @@ mod tests {
         }
         factor.backward_in_place(expected.as_mut());
         let mut found = b.clone();
-        factor.solve_corrected(found.as_mut(), &rows, &|x| faer::Scale(-0.5) * x);
+        factor.solve_corrected(found.as_mut(), &rows, &|x| (faer::Scale(-0.5) * x).into());
         assert!((&found - &expected).norm_max() < 1e-14);
         // What the rows alone lead to.
         let mut whole = b;

@@ -3,8 +3,9 @@
 
 use super::SparseCholesky;
 use super::solve;
-use crate::lanes::kernels::Real;
+use crate::lanes::{self, kernels::Real};
 use crate::linalg;
+use crate::pool::Tall;
 use faer::{Mat, MatMut, MatRef};
 
 /// L⁻¹A without the rows that no entry of A reaches, which are zero.
@@ -13,7 +14,7 @@ pub struct ReachedRows {
     /// In the order of the factor, ascending.
     rows: Vec<u32>,
     /// Those rows, by the columns of A.
-    values: Mat<f64>,
+    values: Tall,
 }
 
 impl<T: Real> SparseCholesky<T> {
@@ -42,7 +43,7 @@ impl ReachedRows {
 
     /// `(L⁻¹A)ᵀL⁻¹A`, which is AᵀK⁻¹A for K = LLᵀ.
     pub fn gram(&self) -> Mat<f64> {
-        linalg::gram(self.values.as_ref(), self.values.as_ref())
+        lanes::weighted_square(&[self.values()], |_| 1.0)
     }
 
     /// `(L⁻¹A)ᵀX` of all rows of X.
@@ -57,8 +58,8 @@ impl ReachedRows {
 
     /// `X += alpha·L⁻¹A·Z` on all rows of X.
     pub fn add_times(&self, x: MatMut<'_, f64>, alpha: f64, z: MatRef<'_, f64>) {
-        let mut product = Mat::zeros(self.rows.len(), z.ncols());
-        linalg::add_product(product.as_mut(), alpha, self.values.as_ref(), z);
+        let z = faer::Scale(alpha) * z;
+        let product = linalg::tall_product(self.values.as_ref(), z.as_ref());
         linalg::for_each_column(x, |j, x| {
             let values = product.col_as_slice(j).iter().zip(&self.rows);
             values.for_each(|(value, &row)| x[row as usize] += value);

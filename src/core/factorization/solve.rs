@@ -16,8 +16,8 @@ use super::symbolic::{Branch, Schedule, SymbolicCholesky};
 use crate::lanes::kernels::{Real, Row};
 use crate::lanes::{LANES, LaneBlock};
 use crate::linalg;
-use crate::pool::Pooled;
-use faer::{Mat, MatMut, MatRef};
+use crate::pool::{Pooled, Tall};
+use faer::{MatMut, MatRef};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -37,7 +37,7 @@ pub(super) enum Task<'t> {
 }
 
 /// See [`Task::Corrected`].
-pub(super) type Correction<'t> = dyn Fn(MatRef<'_, f64>) -> Mat<f64> + Sync + 't;
+pub(super) type Correction<'t> = dyn Fn(MatRef<'_, f64>) -> Tall + Sync + 't;
 
 /// Does `task` to B (n×k), some columns at a time: as many as the widest row has while there are more, and then the rest.
 pub(super) fn solve_in_place<T: Real>(
@@ -76,7 +76,9 @@ fn solve_some<T: Real, const N: usize>(
     task: Task<'_>,
     b: MatMut<'_, f64>,
 ) {
-    with_rows(symbolic.n(), |x| Solver::<T, N> { symbolic, values, x }.solve(task, b));
+    with_rows(symbolic.n(), |x| {
+        Solver::<T, N> { symbolic, values, x, within: None }.solve(task, b)
+    });
 }
 
 /// Calls `f` with `n` rows of anything.
@@ -100,7 +102,7 @@ fn width_for<T: Real>(count: usize) -> usize {
 /// Overwrites eight vectors, whose rows are in the permuted order, by (LLᵀ)⁻¹ of them.
 pub(super) fn solve_lanes(symbolic: &SymbolicCholesky, values: &[Vec<f64>], b: &mut LaneBlock) {
     let mut rows = b.take_rows();
-    let mut solver = Solver { symbolic, values, x: &mut rows[..] };
+    let mut solver = Solver { symbolic, values, x: &mut rows[..], within: None };
     solver.forward();
     solver.backward();
     *b = LaneBlock::of_rows(rows);
@@ -112,7 +114,7 @@ pub(super) fn forward_sparse<T: Real>(
     symbolic: &SymbolicCholesky,
     values: &[Vec<T>],
     columns: &[Vec<(usize, f64)>],
-) -> (Vec<u32>, Mat<f64>) {
+) -> (Vec<u32>, Tall) {
     let size = symbolic.size();
     let position = |row: usize| symbolic.position()[row / size] as usize;
     let mut is_reached = vec![false; symbolic.supernodes().len()];
@@ -131,20 +133,22 @@ pub(super) fn forward_sparse<T: Real>(
     // Neighbours in the tree together: they share their paths.
     let mut order: Vec<usize> = (0..columns.len()).collect();
     order.sort_by_key(|&j| columns[j].iter().map(|entry| position(entry.0)).min());
-    let mut half = Mat::zeros(rows.len(), columns.len());
-    let job = SparseJob { symbolic, values, columns, rows: &rows };
-    let mut rest = &order[..];
-    while !rest.is_empty() {
-        let width = width_for::<T>(rest.len());
-        let (some, after) = rest.split_at(width.min(rest.len()));
-        match width {
-            8 => job.solve::<8>(some, &mut half),
-            16 => job.solve::<16>(some, &mut half),
-            32 => job.solve::<32>(some, &mut half),
-            _ => job.solve::<48>(some, &mut half),
-        }
-        rest = after;
-    }
+    let job = SparseJob { symbolic, values, columns, is_reached: &is_reached, rows: &rows };
+    // A path has few branches that could be solved side by side, but there are other columns.
+    let width = width_for::<T>(order.len().div_ceil(2));
+    let solve = |some: &[usize]| match width {
+        8 => job.solve::<8>(some),
+        16 => job.solve::<16>(some),
+        32 => job.solve::<32>(some),
+        _ => job.solve::<48>(some),
+    };
+    let parts: Vec<Tall> = order.par_chunks(width).map(solve).collect();
+    let mut place = vec![0; order.len()];
+    order.iter().enumerate().for_each(|(at, &column)| place[column] = at);
+    let mut half = Tall::for_a_while(rows.len(), columns.len());
+    linalg::for_each_column(half.as_mut(), |j, column| {
+        column.copy_from_slice(parts[place[j] / width].col_as_slice(place[j] % width));
+    });
     (rows, half)
 }
 
@@ -153,21 +157,31 @@ struct SparseJob<'a, T> {
     symbolic: &'a SymbolicCholesky,
     values: &'a [Vec<T>],
     columns: &'a [Vec<(usize, f64)>],
+    /// By supernodes.
+    is_reached: &'a [bool],
     rows: &'a [u32],
 }
 
 impl<T: Real> SparseJob<'_, T> {
     /// The columns `chosen`, at most `N`.
-    fn solve<const N: usize>(&self, chosen: &[usize], half: &mut Mat<f64>) {
-        let n = self.symbolic.n();
-        with_rows(n, |x| self.solve_in::<N>(x, chosen, half));
+    fn solve<const N: usize>(&self, chosen: &[usize]) -> Tall {
+        let mut half = Tall::for_a_while(self.rows.len(), chosen.len());
+        with_rows(self.symbolic.n(), |x| self.solve_in::<N>(x, chosen, half.as_mut()));
+        half
     }
 
-    fn solve_in<const N: usize>(&self, x: &mut [Row<T, N>], chosen: &[usize], half: &mut Mat<f64>) {
-        let SparseJob { symbolic, values, columns, rows } = *self;
+    fn solve_in<const N: usize>(
+        &self,
+        x: &mut [Row<T, N>],
+        chosen: &[usize],
+        half: MatMut<'_, f64>,
+    ) {
+        let SparseJob { symbolic, values, columns, is_reached, rows } = *self;
         let size = symbolic.size();
-        let mut solver = Solver { symbolic, values, x };
-        solver.clear();
+        for &row in rows {
+            x[row as usize] = [T::default(); N];
+        }
+        let mut solver = Solver { symbolic, values, x, within: Some(is_reached) };
         let mut scales = [1.0; N];
         for ((lane, &column), scale) in chosen.iter().enumerate().zip(&mut scales) {
             *scale = scale_of::<T>(columns[column].iter().map(|entry| &entry.1));
@@ -178,11 +192,11 @@ impl<T: Real> SparseJob<'_, T> {
         }
         solver.forward();
         let x = &*solver.x;
-        let chunks = half.as_mut().par_row_chunks_mut(ROWS_PER_TASK);
+        let chunks = half.par_row_chunks_mut(ROWS_PER_TASK);
         chunks.zip(rows.par_chunks(ROWS_PER_TASK)).for_each(|(mut half, rows)| {
-            for ((lane, &column), scale) in chosen.iter().enumerate().zip(scales) {
+            for ((lane, half), scale) in half.as_mut().col_iter_mut().enumerate().zip(scales) {
                 let values = rows.iter().map(|&row| scale * x[row as usize][lane].double());
-                half.as_mut().col_mut(column).iter_mut().zip(values).for_each(|(h, v)| *h = v);
+                half.iter_mut().zip(values).for_each(|(h, v)| *h = v);
             }
         });
     }
@@ -194,6 +208,8 @@ struct Solver<'a, T, const N: usize> {
     /// Right-hand sides, then solutions, by rows in permuted order; columns that are not there are
     /// zero.
     x: &'a mut [Row<T, N>],
+    /// Supernodes that right-hand sides reach at most, where that is known; what `x` has at others then has no meaning.
+    within: Option<&'a [bool]>,
 }
 
 /// Rows that right-hand sides reach of which one task reads or writes all columns: they stay in the first-level cache.
@@ -230,7 +246,7 @@ impl<'a, T: Real, const N: usize> Solver<'a, T, N> {
             }
             Task::Corrected(rows, correction) if !rows.is_empty() => {
                 let x = &*self.x;
-                let mut some = Mat::zeros(rows.len(), b.ncols());
+                let mut some = Tall::for_a_while(rows.len(), b.ncols());
                 let chunks = some.as_mut().par_row_chunks_mut(ROWS_PER_TASK);
                 chunks.zip(rows.par_chunks(ROWS_PER_TASK)).for_each(|(some, rows)| {
                     for (lane, column) in some.col_iter_mut().enumerate() {
@@ -244,6 +260,12 @@ impl<'a, T: Real, const N: usize> Solver<'a, T, N> {
         }
         self.backward();
         self.scatter(b, symbolic.position(), &scales);
+    }
+
+    /// Whether right-hand sides have entries in these rows of a supernode.
+    fn is_reached(&self, supernode: usize, rows: &[Row<T, N>]) -> bool {
+        self.within.is_none_or(|within| within[supernode])
+            && rows.iter().flatten().any(|value| *value != T::default())
     }
 
     fn clear(&mut self) {
@@ -367,7 +389,7 @@ impl<'a, T: Real, const N: usize> Solver<'a, T, N> {
         }
         let mut below = Vec::new();
         for &s in shared {
-            if !is_reached(&x[self.panel(s, 0).1]) {
+            if !self.is_reached(s, &x[self.panel(s, 0).1]) {
                 continue;
             }
             self.forward_supernode(s, 0, x, &mut below, Threads::All);
@@ -385,7 +407,7 @@ impl<'a, T: Real, const N: usize> Solver<'a, T, N> {
         let mut owed = None;
         let mut below = Vec::new();
         for &s in &branch.supernodes {
-            if !is_reached(&x[self.panel(s, columns.start).1]) {
+            if !self.is_reached(s, &x[self.panel(s, columns.start).1]) {
                 continue;
             }
             let owed = owed.get_or_insert_with(|| vec![[T::default(); N]; root_rows.len() * size]);
@@ -492,11 +514,6 @@ fn scale_of<'v, T: Real>(values: impl Iterator<Item = &'v f64>) -> f64 {
     }
     let largest = values.fold(0.0f64, |largest, value| largest.max(value.abs()));
     if largest > 0.0 && largest.is_finite() { largest.log2().round().exp2() } else { 1.0 }
-}
-
-/// Whether right-hand sides have entries in these rows.
-fn is_reached<T: Real, const N: usize>(rows: &[Row<T, N>]) -> bool {
-    rows.iter().flatten().any(|value| *value != T::default())
 }
 
 #[inline(always)]

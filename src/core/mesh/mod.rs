@@ -59,6 +59,7 @@ pub struct TetMesh {
     component_of_vertex: Vec<u32>,
     n_components: usize,
     unused: Vec<u32>,
+    diagonal_m: f64,
 }
 
 /// `component_of_vertex` of a vertex that no tet uses.
@@ -100,6 +101,7 @@ impl TetMesh {
         let unused = (0..n_vertices as u32)
             .filter(|&v| component_of_vertex[v as usize] == NO_COMPONENT)
             .collect();
+        let diagonal_m = diagonal_m(&vertices, &tets);
         Ok(TetMesh {
             vertices,
             tets,
@@ -109,6 +111,7 @@ impl TetMesh {
             component_of_vertex,
             n_components,
             unused,
+            diagonal_m,
         })
     }
 
@@ -146,17 +149,21 @@ impl TetMesh {
     }
     /// Length of the bounding box's diagonal over the used vertices, in metres.
     pub fn diagonal(&self) -> f64 {
-        let mut low = [f64::INFINITY; 3];
-        let mut high = [f64::NEG_INFINITY; 3];
-        for corner in self.tets.iter().flatten() {
-            for axis in 0..3 {
-                let x = self.vertices[*corner as usize][axis];
-                low[axis] = low[axis].min(x);
-                high[axis] = high[axis].max(x);
-            }
-        }
-        (0..3).map(|axis| (high[axis] - low[axis]).powi(2)).sum::<f64>().sqrt()
+        self.diagonal_m
     }
+}
+
+fn diagonal_m(vertices: &[[f64; 3]], tets: &[[u32; 4]]) -> f64 {
+    let mut low = [f64::INFINITY; 3];
+    let mut high = [f64::NEG_INFINITY; 3];
+    for corner in tets.iter().flatten() {
+        for axis in 0..3 {
+            let x = vertices[*corner as usize][axis];
+            low[axis] = low[axis].min(x);
+            high[axis] = high[axis].max(x);
+        }
+    }
+    (0..3).map(|axis| (high[axis] - low[axis]).powi(2)).sum::<f64>().sqrt()
 }
 
 fn check_tet(tet: usize, corners: &[u32; 4], vertices: &[[f64; 3]]) -> Result<(), MeshError> {

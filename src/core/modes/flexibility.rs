@@ -15,6 +15,7 @@ use crate::control::{self, Control, Stage};
 use crate::linalg::{self, DenseError};
 use crate::modes::stitched::StitchedStiffness;
 use crate::modes::{AuditedSpectrum, ModesError, relative_residuals, residual_vectors};
+use crate::pool::Tall;
 use faer::{Mat, MatRef};
 
 /// Rounds of refinement before the result is returned as it is. On the bodies tried, one to three
@@ -57,7 +58,7 @@ pub struct Update<'a, T = f64> {
 /// Updated modes with their audit.
 pub struct Updated {
     /// The elastic modes wanted (n×r, M-orthonormal).
-    pub shapes: Mat<f64>,
+    pub shapes: Tall,
     /// Their eigenvalues, residuals and estimated errors. The audit of a mode is that of the round that accepted
     /// it: as the space grows, Ritz values only come closer to the exact ones (Cauchy's interlacing theorem).
     pub spectrum: AuditedSpectrum,
@@ -108,7 +109,7 @@ impl Candidate {
 
     /// After T has changed.
     fn renew(&mut self, problem: &Update<'_>) {
-        problem.mass.multiply_into(&mut self.weighted, self.t.as_ref());
+        problem.mass.multiply_into(self.weighted.as_mut(), self.t.as_ref());
         self.stretch = problem.stitched.stitch_matrix().transpose_times(self.t.as_ref());
     }
 }
@@ -199,7 +200,7 @@ impl<'a> TrialSpace<'a> {
         let new: Vec<usize> =
             (0..after.len()).filter(|&j| after[j] > CANCELLED * before[j]).collect();
         if new.len() < after.len() {
-            candidate = Candidate::new(problem, linalg::columns(&candidate.t, &new));
+            candidate = Candidate::new(problem, linalg::columns(candidate.t.as_ref(), &new));
         }
         let [inner_m, mut inner_k] = self.inner_products(&candidate);
         let Candidate { t, weighted, .. } = candidate;
@@ -277,7 +278,7 @@ pub fn update(
         }
         let eigenvalues: Vec<f64> =
             audited.iter().map(|i| theta[n_rigid_left + i].recip() - sigma).collect();
-        let shapes = combined(linalg::columns(&c, &audited).as_ref());
+        let shapes = combined(linalg::columns(c.as_ref(), &audited).as_ref());
         let product = stitched.multiply(shapes.as_ref());
         let residual = residual_vectors(product, mass, shapes.as_ref(), &eigenvalues);
         // Half of a solve tells the residuals; the other half is for those that are to be refined.
@@ -301,7 +302,7 @@ pub fn update(
             // The Ritz vectors are orthonormal to about 1e-10 where large rigid parts cancelled.
             let gram = linalg::SmallCholesky::new(mass.gram(shapes.as_ref()).as_ref())?;
             let shapes = linalg::product(shapes.as_ref(), gram.whitening().as_ref());
-            return Ok(Updated { shapes, spectrum, n_rounds: round });
+            return Ok(Updated { shapes: shapes.into(), spectrum, n_rounds: round });
         }
         // Those that were accepted before still are.
         let refined: Vec<usize> =

@@ -27,6 +27,7 @@ use crate::factorization::SparseCholesky;
 use crate::lanes::{self, LANES, LaneBlock};
 use crate::linalg::{self, DenseError};
 use crate::modes::{LinearModes, ModesError};
+use crate::pool::Tall;
 use faer::{Mat, MatRef};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -93,7 +94,7 @@ pub fn lowest_modes(
     let kept = (n_modes + n_guard).min(n_elastic);
     let most = (12 * kept.max(20)).min(n_elastic);
     if kept == 0 {
-        let modes = LinearModes { shapes: Mat::zeros(n, 0), eigenvalues: Vec::new() };
+        let modes = LinearModes { shapes: Tall::new(n, 0), eigenvalues: Vec::new() };
         return Ok(AuditedModes { modes, residuals: Vec::new() });
     }
 
@@ -308,7 +309,7 @@ impl<'a> Krylov<'a> {
         lanes::subtract_product(&mut blocks, slice::from_ref(&self.remainder), (-u_last).as_ref());
         drop(self.basis);
         let position = self.problem.factor.symbolic().position();
-        let mut shapes = Mat::zeros(n, count);
+        let mut shapes = Tall::new(n, count);
         for (first, block) in (0..count).step_by(LANES).zip(blocks) {
             let shapes = shapes.as_mut().subcols_mut(first, LANES.min(count - first));
             block.by_vertices(|vertex| position[vertex] as usize).copy_to(shapes);

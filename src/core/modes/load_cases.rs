@@ -4,6 +4,7 @@ use crate::dictionary::Block;
 use crate::linalg;
 use crate::modes::LinearModes;
 use crate::modes::seams::BaseModes;
+use crate::pool::Tall;
 use faer::{Mat, MatRef};
 use std::sync::Arc;
 
@@ -65,9 +66,9 @@ impl LoadCases {
         base: &BaseModes<'_>,
         modes: LinearModes,
         loads: MatRef<'_, f64>,
-        mut solutions: Mat<f64>,
+        mut solutions: Tall,
     ) -> LoadCases {
-        base.remove(&mut solutions);
+        base.remove(solutions.as_mut());
         let weighted = base.mass.multiply(solutions.as_ref());
         let mut blocks = self.blocks.clone();
         blocks.push(Block::dependent(solutions, &self.blocks));
@@ -111,6 +112,6 @@ impl LoadCases {
     /// Bytes held, shared blocks included.
     pub fn bytes(&self) -> usize {
         let sources = self.sources.iter().map(|source| &source.modes);
-        self.blocks.iter().chain(sources).map(|block| linalg::bytes(&block.columns)).sum()
+        self.blocks.iter().chain(sources).map(|block| block.columns.bytes()).sum()
     }
 }

@@ -100,7 +100,7 @@ pub fn update(
     let mut shapes = linalg::product(u, w1.as_ref());
     linalg::add_product(shapes.as_mut(), 1.0, minv_a.as_ref(), t.as_ref());
     Ok(LinearModes {
-        shapes,
+        shapes: shapes.into(),
         eigenvalues: eigenvalues[..count].iter().map(|v| v.max(0.0)).collect(),
     })
 }

@@ -15,13 +15,14 @@ pub mod stitched;
 use crate::assembly::mass::Mass;
 use crate::control::Cancelled;
 use crate::linalg::{self, DenseError};
+use crate::pool::Tall;
 use faer::{Mat, MatRef};
 
 /// Elastic modes, ascending; rigid ones are kept apart.
 #[derive(Clone, Debug)]
 pub struct LinearModes {
     /// n × r, M-orthonormal.
-    pub shapes: Mat<f64>,
+    pub shapes: Tall,
     /// λ = ω² in 1/s².
     pub eigenvalues: Vec<f64>,
 }
@@ -31,7 +32,7 @@ impl LinearModes {
     pub fn lowest(&self, count: usize) -> LinearModes {
         let count = count.min(self.eigenvalues.len());
         LinearModes {
-            shapes: self.shapes.subcols(0, count).to_owned(),
+            shapes: self.shapes.subcols(0, count).to_owned().into(),
             eigenvalues: self.eigenvalues[..count].to_vec(),
         }
     }

@@ -20,7 +20,7 @@ use crate::factorization::SparseCholesky;
 use crate::linalg;
 use crate::modes::load_cases::LoadCases;
 use crate::modes::stitched::StitchMatrix;
-use faer::{Mat, MatRef};
+use faer::{Mat, MatMut, MatRef};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -42,7 +42,7 @@ pub struct BaseModes<'a> {
 
 impl BaseModes<'_> {
     /// Y ← Y − XXᵀMY, twice: where X carries nearly all of Y, one pass leaves rounding of it.
-    pub fn remove(&self, y: &mut Mat<f64>) {
+    pub fn remove(&self, mut y: MatMut<'_, f64>) {
         for _ in 0..2 {
             for x in self.x {
                 if x.ncols() > 0 {
@@ -229,7 +229,7 @@ impl Seams {
 
     /// Bytes held, shared blocks included.
     pub fn bytes(&self) -> usize {
-        self.blocks().map(|block| linalg::bytes(&block.columns)).sum::<usize>()
+        self.blocks().map(|block| block.columns.bytes()).sum::<usize>()
             + self.moments.iter().map(linalg::bytes).sum::<usize>()
             + self.couplings.iter().map(linalg::bytes).sum::<usize>()
             + linalg::bytes(&self.gaps)
@@ -273,7 +273,7 @@ impl Seams {
 
         let solved = |mut b: Mat<f64>| {
             base.factor.solve_in_place(b.as_mut());
-            base.remove(&mut b);
+            base.remove(b.as_mut());
             b
         };
         let s1 = solved(load.dense(base.model.n()));

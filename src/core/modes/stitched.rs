@@ -162,7 +162,7 @@ impl<'a, T: Real> StitchedStiffness<'a, T> {
 
     /// `X ← K_σ⁻¹A Z` (Z is 3s×k, X n×k).
     pub fn flexed_into(&self, x: MatMut<'_, f64>, z: MatRef<'_, f64>) {
-        let half = linalg::product(self.half.values(), z);
+        let half = linalg::tall_product(self.half.values(), z);
         self.factor.spread(x, self.half.rows(), half.as_ref());
     }
 
@@ -179,11 +179,17 @@ impl<'a, T: Real> StitchedStiffness<'a, T> {
         self.a.add_times(y, self.a.transpose_times(x).as_ref());
     }
 
+    /// `XᵀK̂X`.
+    pub fn gram(&self, x: MatRef<'_, f64>) -> Mat<f64> {
+        let stretch = self.a.transpose_times(x);
+        self.stiffness.gram(x) + linalg::small_product(stretch.transpose(), stretch.as_ref())
+    }
+
     /// Overwrites B by `K̂_σ⁻¹B`: the stitches take their part between the two halves of the solve.
     pub fn solve_in_place(&self, b: MatMut<'_, f64>) {
         let correction = |x: MatRef<'_, f64>| {
             let z = self.capacitance.solve(linalg::gram(self.half.values(), x).as_ref());
-            linalg::product(self.half.values(), (-z).as_ref())
+            linalg::tall_product(self.half.values(), (-z).as_ref())
         };
         self.factor.solve_corrected(b, self.half.rows(), &correction);
     }
@@ -231,7 +237,7 @@ impl HalfSolution {
 
     /// Those of some columns.
     pub fn columns(&self, columns: &[usize]) -> HalfSolution {
-        let [x, z] = [&self.x, &self.z].map(|of| linalg::columns(of, columns));
+        let [x, z] = [&self.x, &self.z].map(|of| linalg::columns(of.as_ref(), columns));
         HalfSolution { x, z }
     }
 }

@@ -146,7 +146,7 @@ fn it_falls_and_is_carried_by_its_centre_of_mass() {
     let total: f64 = masses.iter().sum();
     let center = |simulation: &Simulation| {
         let places = positions(&body, simulation);
-        places.iter().zip(&masses).map(|(x, m)| x * *m).sum::<Vector3<f64>>() / total
+        places.iter().zip(masses).map(|(x, m)| x * *m).sum::<Vector3<f64>>() / total
     };
     let start = center(&simulation);
     let force = [0.3, 0.0, -0.1];

@@ -227,7 +227,7 @@ fn modes_and_modal_derivatives_of_a_beam() {
     for (column, [i, j]) in derivatives::pairs(20).into_iter().enumerate() {
         // The reference's order: (0,0), (0,1) … (0,19), (1,1) …
         let at = i * 20 - i * (i + 1) / 2 + j;
-        let squared: f64 = solved.col(column).transpose() * weighted.col(column);
+        let squared: f64 = solved.as_ref().col(column).transpose() * weighted.col(column);
         let error = (squared.sqrt() / expected[at] - 1.0).abs();
         assert!(error < 1e-7, "Φ of modes {i} and {j}: {error:e}");
     }

@@ -145,7 +145,7 @@ fn body(name: String, artifacts: &Artifacts) -> Body {
     Body {
         name,
         has_labels: true,
-        mass_kg: artifacts.lumped_mass_kg(),
+        mass_kg: artifacts.lumped_mass_kg().to_vec(),
         frequencies_hz: artifacts.frequencies_hz(),
         modes: Columns::new(n_vertices, modes),
         basis: Columns::new(n_vertices, basis),

@@ -5,8 +5,8 @@ use super::start::Start;
 use crate::lanes::kernels::Real;
 use crate::linalg::{self, DenseError};
 use crate::modes::flexibility::Update;
-use crate::pool::Pooled;
-use faer::{Mat, MatRef};
+use crate::pool::Tall;
+use faer::{Mat, MatMut, MatRef};
 
 /// Of what is missing of a mode, the part that is not worth growing the space for.
 const MINOR: f64 = 0.3;
@@ -20,15 +20,14 @@ pub(super) struct Space<'a, T> {
     /// Q (p×m).
     q: Mat<f64>,
     /// TQ (n×m): X̃Q is XQ less.
-    t: Pooled,
-    n: usize,
+    t: Tall,
     /// Largest squared length, of a column of X̃Q of unit length, of stretches that should not be there.
     stretched: f64,
     /// Combinations of X̃ in the space, Q first.
     held: Mat<f64>,
     /// What of X̃ (p×p, in K̂_σ) lies outside of the space.
     outside: Mat<f64>,
-    w: Vec<Mat<f64>>,
+    w: Vec<Tall>,
     /// Coefficients, of the columns after X, of vectors that B has been applied to, but for their part in X.
     applied: Mat<f64>,
     gram_k: Mat<f64>,
@@ -79,14 +78,13 @@ impl<'a, T: Real> Space<'a, T> {
         let wanted = problem.n_rigid_left + problem.n_modes;
         let q = start.best(wanted.next_multiple_of(T::WIDTHS[0]))?;
         let (n, m) = (base.nrows(), q.ncols());
-        let mut pooled = Pooled::take(n * m.max(problem.n_modes));
+        let mut t = Tall::for_a_while(n, m);
         let relaxed = linalg::small_product(start.relaxed.as_ref(), q.as_ref());
-        stitched.flexed_into(pooled.columns_mut(n, m), relaxed.as_ref());
-        let t = pooled.columns(n, m);
+        stitched.flexed_into(t.as_mut(), relaxed.as_ref());
 
         let gram_k = start.gram_k(q.as_ref());
         let stretched = linalg::small_product(start.stretch.as_ref(), q.as_ref())
-            - a.transpose_times(t)
+            - a.transpose_times(t.as_ref())
             - relaxed;
         let of_column = |j: usize| {
             let length = gram_k[(start.p() + j, start.p() + j)];
@@ -94,12 +92,12 @@ impl<'a, T: Real> Space<'a, T> {
             if square.is_finite() { square } else { f64::INFINITY }
         };
         let stretched = (0..m).map(of_column).fold(0.0, f64::max);
-        let [on_rigid, on_elastic] = x.map(|x| mass.inner(x, t));
+        let [on_rigid, on_elastic] = x.map(|x| mass.inner(x, t.as_ref()));
         let inner = &q - linalg::stacked(&[on_rigid.as_ref(), on_elastic.as_ref()]);
         // (XQ − TQ)ᵀM(XQ − TQ), with XᵀM(XQ − TQ) = `inner`.
         let crossed = linalg::small_product(q.transpose(), inner.as_ref());
         let own = linalg::small_product(q.transpose(), q.as_ref());
-        let corner = mass.gram(t) - own + &crossed + crossed.transpose();
+        let corner = mass.gram(t.as_ref()) - own + &crossed + crossed.transpose();
         let column = linalg::stacked(&[inner.as_ref(), corner.as_ref()]);
         let unit = Mat::identity(start.p(), start.p());
         let gram_m = linalg::bordered_symmetric(unit.as_ref(), column.as_ref());
@@ -110,8 +108,7 @@ impl<'a, T: Real> Space<'a, T> {
             x,
             held: q.clone(),
             q,
-            t: pooled,
-            n,
+            t,
             stretched,
             outside,
             w: Vec::new(),
@@ -126,34 +123,44 @@ impl<'a, T: Real> Space<'a, T> {
         rounding * rounding * self.start.amplification() + self.stretched
     }
 
-    /// The memory of TQ.
-    pub(super) fn into_memory(self) -> Pooled {
-        self.t
-    }
-
     /// Ritz pairs: θ = 1/(λ + σ), descending, with coefficients of M-orthonormal vectors.
     pub(super) fn ritz(&self) -> Result<(Vec<f64>, Mat<f64>), DenseError> {
         linalg::inverse_ritz(self.gram_k.as_ref(), self.gram_m.as_ref(), DEPENDENT)
     }
 
     /// The vectors of these coefficients.
-    pub(super) fn combined(&self, c: MatRef<'_, f64>) -> Mat<f64> {
+    fn combined(&self, c: MatRef<'_, f64>) -> Tall {
+        let mut combined = Tall::for_a_while(self.t.nrows(), c.ncols());
+        let (parts, c) = self.split(c);
+        linalg::combine(combined.as_mut(), &parts, &refs(&c));
+        combined
+    }
+
+    /// The same, with their Gram matrix in M.
+    pub(super) fn combined_with_gram(&self, c: MatRef<'_, f64>) -> (Tall, Mat<f64>) {
+        let mut combined = Tall::new(self.t.nrows(), c.ncols());
+        let (parts, c) = self.split(c);
+        let c = refs(&c);
+        let make = |first, rows: MatMut<'_, f64>| linalg::combine_rows(rows, first, &parts, &c);
+        let (_, gram) = self.problem.mass.gram_of_made(combined.as_mut(), make);
+        (combined, gram)
+    }
+
+    /// All columns that are there, and what coefficients `c` mean for each part of them.
+    fn split(&self, c: MatRef<'_, f64>) -> (Vec<MatRef<'_, f64>>, Vec<Mat<f64>>) {
         let [p, m] = [self.q.nrows(), self.q.ncols()];
         let hat = c.subrows(p, m);
         let of_x = c.subrows(0, p) + linalg::small_product(self.q.as_ref(), hat);
-        let of_t = -hat;
         let (of_rigid, of_elastic) = of_x.as_ref().split_at_row(self.x[0].ncols());
-        let mut parts = vec![self.x[0], self.x[1], self.t.columns(self.n, m)];
-        let mut coefficients = vec![of_rigid, of_elastic, of_t.as_ref()];
+        let mut parts = vec![self.x[0], self.x[1], self.t.as_ref()];
+        let mut coefficients = vec![of_rigid.to_owned(), of_elastic.to_owned(), -hat];
         let mut at = p + m;
         for w in &self.w {
             parts.push(w.as_ref());
-            coefficients.push(c.subrows(at, w.ncols()));
+            coefficients.push(c.subrows(at, w.ncols()).to_owned());
             at += w.ncols();
         }
-        let mut combined = Mat::zeros(self.n, c.ncols());
-        linalg::add_products(combined.as_mut(), &parts, &coefficients);
-        combined
+        (parts, coefficients)
     }
 
     /// XᵀM times the columns after X, and the Gram matrix in M of what these have outside of X.
@@ -210,11 +217,16 @@ impl<'a, T: Real> Space<'a, T> {
             // X̃g, of which K̂_σX̃g = K_σXg = MXΛ_σg.
             let g = scaled(missing.shares.as_ref(), &major);
             let relaxed = linalg::small_product(self.start.relaxed.as_ref(), g.as_ref());
-            let mut t = Mat::zeros(self.n, g.ncols());
+            let mut t = Tall::for_a_while(self.t.nrows(), g.ncols());
             stitched.flexed_into(t.as_mut(), relaxed.as_ref());
             let none = Mat::zeros(self.gram_m.ncols() - p, g.ncols());
             let mut w = self.combined(linalg::stacked(&[g.as_ref(), none.as_ref()]).as_ref());
-            w -= &t;
+            linalg::add_product(
+                w.as_mut(),
+                -1.0,
+                t.as_ref(),
+                Mat::identity(g.ncols(), g.ncols()).as_ref(),
+            );
             let weighed = self.start.weighed(g.as_ref());
             self.add(w, linalg::stacked(&[weighed.as_ref(), none.as_ref()]).as_ref());
             self.held = linalg::concatenate(&[self.held.as_ref(), g.as_ref()]);
@@ -228,7 +240,10 @@ impl<'a, T: Real> Space<'a, T> {
             let y = linalg::stacked(&[y.as_ref(), after.as_ref()]);
             let onto = linalg::small_product(self.outer().0, y.as_ref());
             let z = linalg::stacked(&[(-onto).as_ref(), y.as_ref()]);
-            let mut w = mass.multiply(self.combined(z.as_ref()).as_ref());
+            let of = self.combined(z.as_ref());
+            let mut w = Tall::for_a_while(of.nrows(), of.ncols());
+            mass.multiply_into(w.as_mut(), of.as_ref());
+            drop(of);
             stitched.solve_in_place(w.as_mut());
             self.add(w, z.as_ref());
             let (old, rows) = (&self.applied, self.gram_m.ncols() - p);
@@ -244,11 +259,11 @@ impl<'a, T: Real> Space<'a, T> {
     }
 
     /// Adds W with K̂_σW = MZ, Z being the vectors of coefficients `z`.
-    fn add(&mut self, w: Mat<f64>, z: MatRef<'_, f64>) {
+    fn add(&mut self, w: Tall, z: MatRef<'_, f64>) {
         let mass = self.problem.mass;
         let [on_rigid, on_elastic] = self.x.map(|x| mass.inner(x, w.as_ref()));
         let on_x = linalg::stacked(&[on_rigid.as_ref(), on_elastic.as_ref()]);
-        let on_t = mass.inner(self.t.columns(self.n, self.q.ncols()), w.as_ref());
+        let on_t = mass.inner(self.t.as_ref(), w.as_ref());
         let on_hat = linalg::small_product(self.q.transpose(), on_x.as_ref()) - on_t;
         let on_w = self.w.iter().map(|old| mass.inner(old.as_ref(), w.as_ref()));
         let on_w: Vec<Mat<f64>> = on_w.collect();
@@ -266,6 +281,10 @@ impl<'a, T: Real> Space<'a, T> {
         self.applied = linalg::stacked(&[old.as_ref(), Mat::zeros(k, old.ncols()).as_ref()]);
         self.w.push(w);
     }
+}
+
+fn refs(matrices: &[Mat<f64>]) -> Vec<MatRef<'_, f64>> {
+    matrices.iter().map(Mat::as_ref).collect()
 }
 
 /// xᵀGx of every column.
