@@ -200,7 +200,8 @@ impl BlockMatrix {
         );
     }
 
-    /// `XᵀAX` (n×k → k×k). Of 60 columns of 105 264 unknowns in a third of the time of `AX` and the product of both.
+    /// `XᵀAX` (n×k → k×k). Of 60 columns of 105 264 unknowns in 0.8 to 0.9 of the time that `AX` and the product of both take in
+    /// memory that is there.
     pub fn gram(&self, x: MatRef<'_, f64>) -> Mat<f64> {
         assert_eq!(x.nrows(), self.n());
         lanes::square_by(x, |rows, x, y| {

@@ -364,7 +364,8 @@ impl WithSimd for AddGram<'_> {
     }
 }
 
-/// The same of two blocks of Y: a number of X is fetched once for both. Grams of 60 columns take 0.7 of the time.
+/// The same of two blocks of Y: a number of X is fetched once for both. Squares of 60 columns of 105 264 rows take 5.9 to
+/// 6.3 ms instead of 6.4 to 8.2.
 struct AddGrams<'a> {
     x: &'a [Lanes],
     y: [&'a [Lanes]; 2],
