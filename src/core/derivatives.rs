@@ -8,6 +8,7 @@
 use crate::assembly::FullModel;
 use crate::assembly::mass::Mass;
 use crate::control::{self, Cancelled, Control, Stage};
+use crate::lanes::LANES;
 use crate::linalg;
 use crate::modes::LinearModes;
 use crate::modes::stitched::StitchedStiffness;
@@ -59,13 +60,19 @@ pub struct Solver<'a> {
     pub tolerance: f64,
 }
 
+/// Columns of residuals, of `k`, that are there at a time: some where a solve is exact and they only tell how exact, for the
+/// sake of memory.
+fn residuals_at_a_time(k: usize, sigma: f64) -> usize {
+    if sigma == 0.0 { k.clamp(1, LANES) } else { k.max(1) }
+}
+
 /// Memory for the right-hand sides and the residuals of one block of columns after another.
 pub struct Scratch([Pooled; 2]);
 
 impl Scratch {
-    /// For blocks of at most n × k.
-    pub fn new(n: usize, k: usize) -> Scratch {
-        Scratch([(); 2].map(|()| Pooled::take(n * k)))
+    /// For blocks of at most n × k, solved for with this shift.
+    pub fn new(n: usize, k: usize, sigma: f64) -> Scratch {
+        Scratch([k, residuals_at_a_time(k, sigma)].map(|k| Pooled::take(n * k)))
     }
 }
 
@@ -83,19 +90,27 @@ impl Solver<'_> {
             self.balance(x.as_mut());
         }
         let n = x.nrows();
-        let [mut b, mut r] = scratch.0.each_mut().map(|pooled| pooled.columns_mut(n, k));
+        let [b, r] = &mut scratch.0;
+        let mut b = b.columns_mut(n, k);
         linalg::copy(b.as_mut(), x.as_ref());
         let b = b.as_ref();
-        let norms = linalg::column_norms(b);
         self.precondition(b, x.as_mut());
-        self.stitched.multiply_into(r.as_mut(), x.as_ref());
-        linalg::for_each_column(r.as_mut(), |j, r| {
-            r.iter_mut().zip(b.col(j).iter()).for_each(|(r, b)| *r = b - *r);
-        });
-        let mut worst = worst_ratio(r.as_ref(), &norms);
+        let norms = linalg::column_norms(b);
+        let mut worst = 0.0f64;
+        let at_a_time = residuals_at_a_time(k, self.sigma);
+        for first in (0..k).step_by(at_a_time) {
+            let count = at_a_time.min(k - first);
+            let mut r = r.columns_mut(n, count);
+            self.stitched.multiply_into(r.as_mut(), x.as_ref().subcols(first, count));
+            linalg::for_each_column(r.as_mut(), |j, r| {
+                r.iter_mut().zip(b.col(first + j).iter()).for_each(|(r, b)| *r = b - *r);
+            });
+            worst = worst.max(worst_ratio(r.as_ref(), &norms[first..]));
+        }
         if worst <= self.tolerance || self.sigma == 0.0 {
             return Ok(worst);
         }
+        let mut r = r.columns_mut(n, k);
         let mut direction = Mat::<f64>::zeros(b.nrows(), k);
         let mut old = vec![0.0f64; k];
         for step in 0..MOST_STEPS {

@@ -382,8 +382,13 @@ mod tests {
         let blocks = blocks
             .map(|(v, w)| std::array::from_fn(|i| symmetric[(3 * v + i / 3, 3 * w + i % 3)]))
             .collect();
-        let gram = BlockMatrix::new(pattern.clone(), blocks).gram(x.as_ref());
-        assert!((gram - x.transpose() * symmetric * &x).norm_max() < 1e-12);
+        let a_symmetric = BlockMatrix::new(pattern.clone(), blocks);
+        // One block, less than what is packed at a time, and more than twice that.
+        for k in [5, 11, 77] {
+            let x = Mat::from_fn(15, k, |i, j| ((i * 11 + j) as f64).cos());
+            let gram = a_symmetric.gram(x.as_ref());
+            assert!((gram - x.transpose() * &symmetric * &x).norm_max() < 1e-12, "{k}");
+        }
 
         let values: Vec<f64> = (0..pattern.n_entries()).map(|e| (e as f64).cos()).collect();
         let a = ScalarMatrix::new(pattern.clone(), values);

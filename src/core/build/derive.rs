@@ -51,7 +51,7 @@ pub(super) fn new_derivatives<'a>(
 ) -> Result<DerivativeSet, BuildError> {
     let mut shapes = loads;
     let (n, p) = (shapes.nrows(), shapes.ncols());
-    let mut scratch = Scratch::new(n, DERIVATIVES_PER_SOLVE.min(p));
+    let mut scratch = Scratch::new(n, DERIVATIVES_PER_SOLVE.min(p), body.sigma);
     let solver = body.solver(accurate);
     let mut residual = 0.0f64;
     for first in (0..p).step_by(DERIVATIVES_PER_SOLVE) {

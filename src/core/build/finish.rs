@@ -340,6 +340,14 @@ impl<'a> Fit<'a> {
             *self.params;
         control::check(control)?;
         let samples = |count: usize, seed: u64| self.samples(count, seed, control);
+        // What follows is where a build takes most memory. An edit is followed by others, which use it again.
+        let is_build = reuse.is_empty();
+        let make_room = || {
+            if is_build {
+                pool::clear();
+            }
+        };
+        make_room();
         let n_validation = n_validation(n_training_poses);
         let begin = control.now();
         let validation = samples(n_validation, seed ^ VALIDATION_SEED)?;
@@ -391,11 +399,11 @@ impl<'a> Fit<'a> {
             }
         }
         control.progress(Stage::Cubature, 0.1);
+        make_room();
         let training = samples(n_training_poses, seed)?;
-        // What follows is where a build takes most memory.
-        pool::clear();
+        make_room();
         let smoothed = |rule: Rule, suffices: &dyn Fn(&Rule) -> bool| {
-            let more = || samples(n_more, seed ^ SMOOTHING_SEED).inspect(|_| pool::clear());
+            let more = || samples(n_more, seed ^ SMOOTHING_SEED).inspect(|_| make_room());
             cubature::smooth(rule, training.clone(), more, tolerance, suffices, control)
         };
         if let Some((old, enough)) = worse {

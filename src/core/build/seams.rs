@@ -13,7 +13,7 @@ use crate::modes::load_cases::LoadCases;
 use crate::modes::prepared::{Coefficients, PreparedStitches};
 use crate::modes::seams::{BaseModes, SeamRecipe, Seams};
 use crate::modes::stitched::StitchedStiffness;
-use crate::pool::Tall;
+use crate::pool::{self, Tall};
 use std::sync::Arc;
 
 /// Stiffness of the springs that close a seam for its load cases, in N/m, where no stitch in force tells
@@ -117,6 +117,8 @@ pub(super) fn base_derivatives(
     let Prepared { params, model, mass, factor, sigma, .. } = prepared;
     let lowest = lowest_modes(prepared, params.n_derivative_modes.min(params.n_modes));
     let loads = derivatives::right_hand_sides(model, lowest.shapes.as_ref(), control)?;
+    // What they were made with is not to be there beside what they are solved with.
+    pool::clear();
     let accurate = correcting_modes(prepared);
     let stitched = StitchedStiffness::new(model, &prepared.stiffness, factor, &[])?;
     let body = Body {

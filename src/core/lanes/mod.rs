@@ -9,7 +9,7 @@
 pub(crate) mod kernels;
 
 use crate::pool::Pooled;
-use faer::{Mat, MatMut, MatRef};
+use faer::{ColRef, Mat, MatMut, MatRef};
 use kernels::{Real, dispatch};
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
@@ -166,33 +166,42 @@ pub fn weighted_square_of_made<T: Send>(
 }
 
 /// XᵀY of X (n×k) and Y = AX for a symmetric A, of which `times(rows, x, y)` makes rows that begin and end with vertices
-/// of three rows each. A is then read once for all columns, and Y never written.
+/// of three rows each. A is then read once for [`MOST_PACKED`] blocks of columns, and Y never written.
 pub fn square_by(
     x: MatRef<'_, f64>,
     times: impl Fn(Range<usize>, &[Lanes], &mut [Lanes]) + Sync,
 ) -> Mat<f64> {
     let (n, k) = (x.nrows(), x.ncols());
     let n_blocks = k.div_ceil(LANES);
-    let mut pooled = Pooled::take(n * LANES * n_blocks);
-    let packed: &mut [Lanes] = pooled.numbers().as_chunks_mut().0;
-    for (block, packed) in packed.chunks_mut(n.max(1)).enumerate() {
-        let first = LANES * block;
-        pack(x.subcols(first, LANES.min(k - first)), packed);
-    }
-    let blocks: Vec<&[Lanes]> = packed.chunks(n.max(1)).collect();
-    let tasks = (0..n.div_ceil(TASK_ROWS)).into_par_iter();
-    let parts = tasks.map(|task| {
-        let mut sums = Square::new(k);
-        let end = n.min((task + 1) * TASK_ROWS);
-        for begin in (task * TASK_ROWS..end).step_by(CHUNK) {
-            let rows = begin..end.min(begin + CHUNK);
-            let some: Vec<&[Lanes]> = blocks.iter().map(|block| &block[rows.clone()]).collect();
-            sums.add(&some, |right, y| times(rows.clone(), blocks[right], y));
+    let columns = |block: usize| x.subcols(LANES * block, LANES.min(k - LANES * block));
+    let mut parts = Vec::new();
+    parts.resize_with(n.div_ceil(TASK_ROWS), || Square::new(k));
+    let mut pooled = Pooled::take(n * LANES * n_blocks.min(MOST_PACKED));
+    let memory: &mut [Lanes] = pooled.numbers().as_chunks_mut().0;
+    for first in (0..n_blocks).step_by(MOST_PACKED) {
+        let end = n_blocks.min(first + MOST_PACKED);
+        for (block, packed) in (first..end).zip(memory.chunks_mut(n.max(1))) {
+            pack(columns(block), packed);
         }
-        sums
-    });
-    Square::sum_of(parts.collect(), k)
+        let packed: Vec<&[Lanes]> = memory.chunks(n.max(1)).take(end - first).collect();
+        let others = x.get(.., (LANES * end).min(k)..);
+        parts.par_iter_mut().enumerate().for_each(|(task, sums)| {
+            let mut after = vec![[[0.0; LANES]; CHUNK]; n_blocks - end];
+            for begin in (task * TASK_ROWS..n.min((task + 1) * TASK_ROWS)).step_by(CHUNK) {
+                let rows = begin..n.min(begin + CHUNK);
+                put_abreast(&mut after, others.get(rows.clone(), ..).col_iter());
+                let own = packed.iter().map(|block| &block[rows.clone()]);
+                let some: Vec<&[Lanes]> =
+                    own.chain(after.iter().map(|block| &block[..rows.len()])).collect();
+                sums.add(first..end, &some, |block, y| times(rows.clone(), packed[block], y));
+            }
+        });
+    }
+    Square::sum_of(parts, k)
 }
+
+/// Blocks that [`square_by`] has packed at a time, for the sake of memory: an even number.
+const MOST_PACKED: usize = 4;
 
 /// Rows of one task.
 const TASK_ROWS: usize = CHUNK * CHUNKS_PER_TASK;
@@ -207,13 +216,20 @@ impl Square {
         Square(vec![[0.0; LANES]; LANES * n_blocks * (n_blocks + 1) / 2])
     }
 
-    /// Adds the sum over some rows (at most [`CHUNK`]) of the blocks of X; `make` makes those of one block of Y.
-    fn add(&mut self, x: &[&[Lanes]], make: impl Fn(usize, &mut [Lanes])) {
+    /// Pairs of the blocks before `right`, which is one of `n_blocks`: n_blocks + (n_blocks − 1) + …
+    fn start(n_blocks: usize, right: usize) -> usize {
+        right * n_blocks - right * right.saturating_sub(1) / 2
+    }
+
+    /// Adds the sums over some rows (at most [`CHUNK`]) for the blocks `rights` of Y, an even number of them or up to the last;
+    /// `x` are the blocks of X from the first of them on, and `make` makes the rows of a block of Y, counted likewise.
+    fn add(&mut self, rights: Range<usize>, x: &[&[Lanes]], make: impl Fn(usize, &mut [Lanes])) {
         let rows = x.first().map_or(0, |x| x.len());
         let mut y = [[[0.0; LANES]; CHUNK]; 2];
         let [y, other] = y.each_mut().map(|y| &mut y[..rows]);
-        let mut rest = self.0.as_chunks_mut().0;
-        for right in (0..x.len()).step_by(2) {
+        let start = Square::start(rights.start + x.len(), rights.start);
+        let mut rest = &mut self.0.as_chunks_mut().0[start..];
+        for right in (0..rights.len()).step_by(2) {
             make(right, y);
             let (of_y, after) = rest.split_at_mut(x.len() - right);
             let Some((own, of_y)) = of_y.split_first_mut() else { return };
@@ -236,14 +252,10 @@ impl Square {
         let k: usize = x.iter().map(|x| x.ncols()).sum();
         let mut blocks = vec![[[0.0; LANES]; CHUNK]; k.div_ceil(LANES)];
         for begin in (0..n).step_by(CHUNK) {
-            let rows = CHUNK.min(n - begin);
-            let columns = x.iter().flat_map(|x| x.subrows(begin, rows).col_iter());
-            for (j, column) in columns.enumerate() {
-                let block = blocks[j / LANES].iter_mut();
-                block.zip(column.iter()).for_each(|(row, x)| row[j % LANES] = *x);
-            }
-            let some: Vec<&[Lanes]> = blocks.iter().map(|block| &block[..rows]).collect();
-            self.add(&some, |right, y| {
+            let rows = begin..n.min(begin + CHUNK);
+            put_abreast(&mut blocks, x.iter().flat_map(|x| x.get(rows.clone(), ..).col_iter()));
+            let some: Vec<&[Lanes]> = blocks.iter().map(|block| &block[..rows.len()]).collect();
+            self.add(0..some.len(), &some, |right, y| {
                 for (i, (y, x)) in y.iter_mut().zip(some[right]).enumerate() {
                     let weight = weight(begin + i);
                     *y = x.map(|x| weight * x);
@@ -257,15 +269,20 @@ impl Square {
         let n_blocks = k.div_ceil(LANES);
         let length = Square::new(k).0.len();
         let sums = self::sum_of(parts.into_iter().map(|part| part.0).collect(), length);
-        // Pairs of the columns of blocks before `right`: n_blocks + (n_blocks − 1) + …
-        let pair = |left: usize, right: usize| {
-            right * n_blocks - right * right.saturating_sub(1) / 2 + left - right
-        };
+        let pair = |left: usize, right: usize| Square::start(n_blocks, right) + left - right;
         Mat::from_fn(k, k, |i, j| {
             let (i, j) = (i.max(j), i.min(j));
             // Of two columns of one block both products are there; they differ in rounding.
             sums[LANES * pair(i / LANES, j / LANES) + i % LANES][j % LANES]
         })
+    }
+}
+
+/// Puts columns of at most [`CHUNK`] rows side by side, eight to a block.
+fn put_abreast<'c>(blocks: &mut [[Lanes; CHUNK]], columns: impl Iterator<Item = ColRef<'c, f64>>) {
+    for (j, column) in columns.enumerate() {
+        let block = blocks[j / LANES].iter_mut();
+        block.zip(column.iter()).for_each(|(row, x)| row[j % LANES] = *x);
     }
 }
 
