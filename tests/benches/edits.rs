@@ -373,14 +373,14 @@ fn coverage(body: &Body, base: &Artifacts) -> Result<(Vec<Coverage>, Vec<Check>)
     let sources = [("flexibility", &flexibility), ("low_rank", &low_rank), ("original", base)];
     for (name, artifacts) in sources {
         let modes = modes_of(artifacts);
-        checks.extend(orthonormality(name, &modes, &masses, artifacts));
+        checks.extend(orthonormality(name, &modes, masses, artifacts));
         for n in [10, 20, 30].into_iter().filter(|n| *n <= modes.len()) {
-            let share = shares(&exact, &modes[..n], &masses);
+            let share = shares(&exact, &modes[..n], masses);
             curves.push(Coverage { by: format!("{name} modes"), n_vectors: n, share });
         }
         let basis: Vec<_> =
             (0..artifacts.basis_size()).map(|i| artifacts.basis_column(i)).collect();
-        let share = shares(&exact, &basis, &masses);
+        let share = shares(&exact, &basis, masses);
         curves.push(Coverage { by: format!("{name} basis"), n_vectors: basis.len(), share });
     }
     Ok((curves, checks))

@@ -166,7 +166,7 @@ pub fn weighted_square_of_made<T: Send>(
 }
 
 /// XᵀY of X (n×k) and Y = AX for a symmetric A, of which `times(rows, x, y)` makes rows that begin and end with vertices
-/// of three rows each. A is then read once for [`MOST_PACKED`] blocks of columns, and Y never written.
+/// of three rows each. A is then read once for 32 columns, and Y never written.
 pub fn square_by(
     x: MatRef<'_, f64>,
     times: impl Fn(Range<usize>, &[Lanes], &mut [Lanes]) + Sync,

@@ -80,7 +80,7 @@ fn momenta_are_constant_and_those_of_the_vertices() {
         assert_eq!((report.n_substeps, report.recovered), (1, false));
         let after = positions(&body, &simulation);
         if step % 100 == 0 {
-            found.push(momenta(&masses, &before, &after, dt));
+            found.push(momenta(masses, &before, &after, dt));
         }
         let now: f64 = simulation.energies_j().iter().sum();
         worst = worst.max((now / energy - 1.0).abs());

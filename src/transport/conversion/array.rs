@@ -110,7 +110,7 @@ fn assemble(
             vec![columns(names::MODES, artifacts.n_modes(), &|i| artifacts.mode(i))?]
         }
         ArrayKind::Basis => vec![columns(names::BASIS, r, &|i| artifacts.basis_column(i))?],
-        ArrayKind::Mass => vec![array(names::MASS, &[n_vertices], &artifacts.lumped_mass_kg())?],
+        ArrayKind::Mass => vec![array(names::MASS, &[n_vertices], artifacts.lumped_mass_kg())?],
         ArrayKind::FrequenciesHz => {
             let frequencies = artifacts.frequencies_hz();
             vec![array(names::FREQUENCIES_HZ, &[frequencies.len()], &frequencies)?]
