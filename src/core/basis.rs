@@ -41,9 +41,6 @@ const DEPENDENT: f64 = 1e-13;
 /// derivatives (at 1e-9 a fork's static error was 34 times that of a basis from scratch).
 const RESOLVED: f64 = 1e-12;
 
-/// How far from orthonormal a basis may be: inner products of 105 264 numbers are rounded by some 1e-13.
-const ORTHONORMAL: f64 = 1e-12;
-
 /// Columns no further from it are orthonormal but for rounding once they have been made so.
 const NEARLY_ORTHONORMAL: f64 = 1e-8;
 
@@ -200,7 +197,7 @@ impl Columns<'_> {
         let signs: Vec<f64> = (0..c.ncols()).map(sign).collect();
         let mut turn = Mat::from_fn(c.ncols(), c.ncols(), |i, j| f64::from(i == j) * signs[j]);
         let mut distance = linalg::distance_from_identity(gram.as_ref());
-        if distance < ORTHONORMAL {
+        if distance < linalg::ORTHONORMAL {
             linalg::for_each_column(basis.as_mut(), |j, column| {
                 if signs[j] < 0.0 {
                     column.iter_mut().for_each(|x| *x = -*x);
@@ -220,7 +217,7 @@ impl Columns<'_> {
             }
             gram = self.mass.gram(basis.as_ref());
             distance = linalg::distance_from_identity(gram.as_ref());
-            if distance < ORTHONORMAL {
+            if distance < linalg::ORTHONORMAL {
                 break;
             }
             turn = Mat::identity(c.ncols(), c.ncols());

@@ -176,6 +176,10 @@ pub fn inverse_ritz(
     Ok((theta, c))
 }
 
+/// How far from orthonormal vectors of the size of a mesh may be ([`distance_from_identity`]): inner products of
+/// 105 264 numbers are rounded by some 1e-13.
+pub const ORTHONORMAL: f64 = 1e-12;
+
 /// Largest entry of `|G − I|`: how far from orthonormal a set of vectors with Gram matrix G is.
 pub fn distance_from_identity(g: MatRef<'_, f64>) -> f64 {
     let mut worst = 0.0f64;

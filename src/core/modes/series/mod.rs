@@ -40,9 +40,6 @@ const ROUNDING_SHARE: f64 = 0.1;
 /// Directions whose squared K̂_σ-length is below this fraction after scaling are dependent.
 const DEPENDENT: f64 = 1e-12;
 
-/// How far from orthonormal the modes may be: inner products of 105 264 numbers are rounded by some 1e-13.
-const ORTHONORMAL: f64 = 1e-12;
-
 /// Tolerances below are not tried with a factor in these numbers: Gram matrices that are known and not multiplied out are
 /// as exact as solves are, and what single precision leaves of them is an estimate. At 1e-6 one residual of a bar was 1.6
 /// times what was claimed of it, from 3e-6 on none was more than 0.8 of that.
@@ -127,7 +124,7 @@ fn finished<T: Real>(
     spectrum: AuditedSpectrum,
     n_rounds: usize,
 ) -> Result<Updated, ModesError> {
-    if linalg::distance_from_identity(gram.as_ref()) > ORTHONORMAL {
+    if linalg::distance_from_identity(gram.as_ref()) > linalg::ORTHONORMAL {
         let whitening = linalg::SmallCholesky::new(gram.as_ref())?.whitening();
         linalg::turn(shapes.as_mut(), whitening.as_ref());
     }

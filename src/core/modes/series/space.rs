@@ -221,12 +221,9 @@ impl<'a, T: Real> Space<'a, T> {
             stitched.flexed_into(t.as_mut(), relaxed.as_ref());
             let none = Mat::zeros(self.gram_m.ncols() - p, g.ncols());
             let mut w = self.combined(linalg::stacked(&[g.as_ref(), none.as_ref()]).as_ref());
-            linalg::add_product(
-                w.as_mut(),
-                -1.0,
-                t.as_ref(),
-                Mat::identity(g.ncols(), g.ncols()).as_ref(),
-            );
+            linalg::for_each_column(w.as_mut(), |j, w| {
+                w.iter_mut().zip(t.col_as_slice(j)).for_each(|(w, t)| *w -= t);
+            });
             let weighed = self.start.weighed(g.as_ref());
             self.add(w, linalg::stacked(&[weighed.as_ref(), none.as_ref()]).as_ref());
             self.held = linalg::concatenate(&[self.held.as_ref(), g.as_ref()]);
